@@ -1,0 +1,30 @@
+from .aerosol import Aerosol as Aerosol, REFERENCE_WAVELENGTH as REFERENCE_WAVELENGTH
+from .atmosphere import (
+    Atmosphere as Atmosphere,
+    Ground as Ground,
+    optical_depth_to_turbidity as optical_depth_to_turbidity,
+    turbidity_to_optical_depth as turbidity_to_optical_depth,
+)
+from .constituent import AbstractConstituent as AbstractConstituent, Prescribed as Prescribed
+from .ozone import Ozone as Ozone
+from .phase import (
+    AbstractPhase as AbstractPhase,
+    CornetteShanks as CornetteShanks,
+    HenyeyGreenstein as HenyeyGreenstein,
+    RayleighPhase as RayleighPhase,
+    Tabulated as Tabulated,
+    TwoTermHenyeyGreenstein as TwoTermHenyeyGreenstein,
+)
+from .profile import (
+    AbstractProfile as AbstractProfile,
+    Exponential as Exponential,
+    Layered as Layered,
+    OzoneLayer as OzoneLayer,
+)
+from .rayleigh import (
+    bodhaine_optical_depth as bodhaine_optical_depth,
+    paper_scattering_coefficient as paper_scattering_coefficient,
+    pressure_at_altitude as pressure_at_altitude,
+    Rayleigh as Rayleigh,
+    SEA_LEVEL_PRESSURE as SEA_LEVEL_PRESSURE,
+)

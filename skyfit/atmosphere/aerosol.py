@@ -1,0 +1,43 @@
+"""Haze: aerosol by Angstrom's law."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..scene import as_float
+from .constituent import AbstractConstituent
+from .phase import AbstractPhase, HenyeyGreenstein
+from .profile import AbstractProfile, Exponential
+
+
+# nm, where the aerosol optical depth and the turbidity are stated (Preetham 1999, sec. 2.1)
+REFERENCE_WAVELENGTH = 550.0
+
+
+class Aerosol(AbstractConstituent):
+    r"""Aerosol with optical depth $\tau_{550} (\lambda/550)^{-\alpha}$.
+
+    `optical_depth` at 550 nm, >= 0; `angstrom_exponent` alpha; `single_scattering_albedo` at 550 nm in [0, 1]
+    and its slope per unit of ln(wavelength / 550 nm); `phase`; `profile`.
+    Source: Angstrom 1929. Scale height 1.2 km: Preetham 1999, A.4 (0.8333 /km).
+    """
+
+    optical_depth: Float[Array, ""] = eqx.field(converter=as_float)
+    angstrom_exponent: Float[Array, ""] = eqx.field(converter=as_float, default=1.3)
+    single_scattering_albedo: Float[Array, ""] = eqx.field(converter=as_float, default=0.95)
+    single_scattering_albedo_slope: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
+    phase: AbstractPhase = eqx.field(default_factory=lambda: HenyeyGreenstein(0.7))
+    profile: AbstractProfile = eqx.field(default_factory=lambda: Exponential(1200.0))
+    smooth_in_wavelength: ClassVar[bool] = True
+
+    def extinction(self, wavelength_nm):
+        ratio = jnp.log(wavelength_nm / REFERENCE_WAVELENGTH)
+        return self.optical_depth * jnp.exp(-self.angstrom_exponent * ratio)
+
+    def albedo(self, wavelength_nm):
+        ratio = jnp.log(wavelength_nm / REFERENCE_WAVELENGTH)
+        return jnp.clip(
+            self.single_scattering_albedo + self.single_scattering_albedo_slope * ratio, 0.0, 1.0
+        )

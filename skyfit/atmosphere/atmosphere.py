@@ -1,0 +1,78 @@
+"""The atmosphere: its constituents and the ground under it; every parameter of a sky is a leaf of it."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..scene import as_float
+from .aerosol import Aerosol, REFERENCE_WAVELENGTH
+from .constituent import AbstractConstituent
+from .ozone import Ozone
+from .rayleigh import bodhaine_optical_depth, Rayleigh
+
+
+def turbidity_to_optical_depth(turbidity):
+    r"""Aerosol optical depth at 550 nm, $\tau_a = (T - 1)\,\tau_R(550)$, sea-level Rayleigh depth.
+
+    **Arguments:** `turbidity` >= 1. **Returns:** dimensionless.
+    **Source:** Preetham 1999, sec. 2.1, T = (t_m + t_h) / t_m at 550 nm.
+    """
+    return (turbidity - 1.0) * bodhaine_optical_depth(REFERENCE_WAVELENGTH)
+
+
+def optical_depth_to_turbidity(optical_depth):
+    """The inverse of `turbidity_to_optical_depth`."""
+    return 1.0 + optical_depth / bodhaine_optical_depth(REFERENCE_WAVELENGTH)
+
+
+class Ground(eqx.Module):
+    """A Lambertian ground: `albedo` at 550 nm in [0, 1], its slope per unit of ln(wavelength / 550 nm).
+
+    `albedo` may also be given per wavelength of the scene, `[wavelength]`.
+    """
+
+    albedo: Float[Array, "*wavelength"] = eqx.field(converter=as_float, default=0.1)
+    albedo_slope: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
+
+    def reflectance(self, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
+        """The albedo at the given wavelengths."""
+        ratio = jnp.log(wavelength_nm / REFERENCE_WAVELENGTH)
+        return jnp.clip(
+            jnp.broadcast_to(self.albedo, wavelength_nm.shape) + self.albedo_slope * ratio, 0.0, 1.0
+        )
+
+
+class Atmosphere(eqx.Module):
+    """Air, haze, ozone and the ground; a constituent that is None costs nothing.
+
+    Each of `rayleigh`, `aerosol`, `ozone` may be any `AbstractConstituent`, a `Prescribed` one for instance.
+    """
+
+    rayleigh: AbstractConstituent | None = eqx.field(default_factory=Rayleigh)
+    aerosol: AbstractConstituent | None = None
+    ozone: AbstractConstituent | None = eqx.field(default_factory=Ozone)
+    ground: Ground = eqx.field(default_factory=Ground)
+
+    @classmethod
+    def from_optical_depth(cls, optical_depth, **aerosol) -> "Atmosphere":
+        """Air at sea level, 300 DU of ozone, ground albedo 0.1 and haze of this optical depth at 550 nm.
+
+        **Arguments:** `optical_depth` >= 0, may be traced; the other fields of `Aerosol` by name.
+        **Returns:** an `Atmosphere`.
+        """
+        return cls(aerosol=Aerosol(optical_depth, **aerosol))
+
+    @classmethod
+    def from_turbidity(cls, turbidity, **aerosol) -> "Atmosphere":
+        """As `from_optical_depth`, with the haze given by Preetham's turbidity at 550 nm (>= 1)."""
+        return cls.from_optical_depth(turbidity_to_optical_depth(turbidity), **aerosol)
+
+    @property
+    def constituents(self) -> tuple[AbstractConstituent, ...]:
+        """The constituents that are present."""
+        return tuple(c for c in (self.rayleigh, self.aerosol, self.ozone) if c is not None)
+
+    @property
+    def smooth_in_wavelength(self) -> bool:
+        """Whether all optics may be asked for between the scene's wavelengths."""
+        return self.ground.albedo.ndim == 0 and all(c.smooth_in_wavelength for c in self.constituents)

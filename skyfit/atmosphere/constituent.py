@@ -1,0 +1,54 @@
+"""A constituent of the atmosphere: a column, what it scatters and absorbs, and where it lies."""
+
+from abc import abstractmethod
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..scene import as_float
+from .phase import AbstractPhase
+from .profile import AbstractProfile
+
+
+class AbstractConstituent(eqx.Module):
+    """Something in the air. `phase` is None where it only absorbs."""
+
+    phase: eqx.AbstractVar[AbstractPhase | None]
+    profile: eqx.AbstractVar[AbstractProfile]
+    # whether the optics may be asked for at wavelengths other than the scene's
+    smooth_in_wavelength: eqx.AbstractClassVar[bool]
+
+    @abstractmethod
+    def extinction(self, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
+        """The vertical extinction optical depth from the ground to space."""
+
+    @abstractmethod
+    def albedo(self, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
+        """The single-scattering albedo, in [0, 1]."""
+
+
+class Prescribed(AbstractConstituent):
+    """A constituent whose optical depth and albedo are given at the scene's own wavelengths.
+
+    `optical_depth` `[wavelength]`, vertical extinction, >= 0; `single_scattering_albedo` `[wavelength]`
+    or a scalar; `phase` (None: absorbs only) and `profile`. Stands in any place of an `Atmosphere`.
+    """
+
+    optical_depth: Float[Array, " wavelength"] = eqx.field(converter=as_float)
+    profile: AbstractProfile
+    phase: AbstractPhase | None = None
+    single_scattering_albedo: Float[Array, "*wavelength"] = eqx.field(converter=as_float, default=1.0)
+    smooth_in_wavelength: ClassVar[bool] = False
+
+    def extinction(self, wavelength_nm):
+        if self.optical_depth.shape != wavelength_nm.shape:
+            raise ValueError(
+                "`optical_depth` must be given at the scene's wavelengths, "
+                f"got {self.optical_depth.shape} for {wavelength_nm.shape}"
+            )
+        return self.optical_depth
+
+    def albedo(self, wavelength_nm):
+        return jnp.broadcast_to(self.single_scattering_albedo, wavelength_nm.shape)

@@ -1,0 +1,174 @@
+r"""Phase functions: how scattered light spreads over angle, with Legendre moments.
+
+All are normalised: $\int p\, d\omega = 1$, in sr^-1, and
+$p(\gamma) = \frac{1}{4\pi} \sum_l (2l+1) \chi_l P_l(\cos\gamma)$ with $\chi_0 = 1$.
+The angle enters as its haversine $\sin^2(\gamma/2)$, which keeps its digits toward the sun.
+"""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..numerics import associated_legendre, gauss_legendre, hat_weights, read_table
+from ..scene import as_float
+
+
+class AbstractPhase(eqx.Module):
+    """A phase function; the last axis of length 1 where it does not depend on wavelength."""
+
+    @abstractmethod
+    def value(
+        self, haversine: Float[Array, " direction"], wavelength_nm: Float[Array, " wavelength"]
+    ) -> Float[Array, "direction #wavelength"]:
+        """The phase function at angles from the forward direction, sr^-1."""
+
+    @abstractmethod
+    def moments(
+        self, count: int, wavelength_nm: Float[Array, " wavelength"]
+    ) -> Float[Array, "moment #wavelength"]:
+        """The Legendre moments 0 .. count-1, dimensionless."""
+
+
+class RayleighPhase(AbstractPhase):
+    r"""$p = \frac{3}{16\pi(1+2\gamma_d)}[(1+3\gamma_d) + (1-\gamma_d)\cos^2\gamma]$, $\gamma_d = \rho/(2-\rho)$.
+
+    `depolarization` $\rho$ >= 0; 0 gives $3(1+\cos^2\gamma)/16\pi$, the papers' form.
+    Source: Chandrasekhar 1950; Bucholtz 1995, Appl. Opt. 34, 2765, eq. 12.
+    """
+
+    # King factor 1.048 of air at 550 nm (Bodhaine et al. 1999, table 3), as 6 (F - 1) / (7 F + 3)
+    depolarization: Float[Array, ""] = eqx.field(converter=as_float, default=0.0279)
+
+    def value(self, haversine, wavelength_nm):
+        spread = self.depolarization / (2.0 - self.depolarization)
+        cosine = 1.0 - 2.0 * haversine[:, None]
+        scale = 3.0 / (16.0 * np.pi * (1.0 + 2.0 * spread))
+        return scale * ((1.0 + 3.0 * spread) + (1.0 - spread) * cosine**2)
+
+    def moments(self, count, wavelength_nm):
+        second = 0.2 * (1.0 - self.depolarization) / (2.0 + self.depolarization)
+        values = [1.0, 0.0, second] + [0.0] * count
+        return jnp.stack([as_float(v) for v in values[:count]])[:, None]
+
+
+def _henyey_greenstein(haversine, asymmetry):
+    denominator = (1.0 - asymmetry) ** 2 + 4.0 * asymmetry * haversine
+    return (1.0 - asymmetry**2) / (4.0 * np.pi * denominator * jnp.sqrt(denominator))
+
+
+def _powers(asymmetry, count: int):
+    return jnp.cumprod(jnp.concatenate([jnp.ones(1), jnp.full(count - 1, asymmetry)]))
+
+
+class HenyeyGreenstein(AbstractPhase):
+    r"""$p = \frac{1-g^2}{4\pi (1+g^2-2g\cos\gamma)^{3/2}}$, moments $g^l$; forward scattering is g > 0.
+
+    `asymmetry` g in (-1, 1). Source: Henyey & Greenstein 1941. Klassen 1987, eq. 1 and Hoffman & Preetham 2002
+    print the numerator $(1-g)^2$ and signs of their own: neither integrates to one.
+    """
+
+    asymmetry: Float[Array, ""] = eqx.field(converter=as_float)
+
+    def value(self, haversine, wavelength_nm):
+        return _henyey_greenstein(haversine, self.asymmetry)[:, None]
+
+    def moments(self, count, wavelength_nm):
+        return _powers(self.asymmetry, count)[:, None]
+
+
+class TwoTermHenyeyGreenstein(AbstractPhase):
+    """A share `forward_fraction` of one Henyey-Greenstein lobe and the rest of a second one.
+
+    `asymmetry` and `asymmetry_second` in (-1, 1), `forward_fraction` in [0, 1].
+    Source: Irvine 1965, Astrophys. J. 142, 1563; Kattawar 1975.
+    """
+
+    asymmetry: Float[Array, ""] = eqx.field(converter=as_float)
+    asymmetry_second: Float[Array, ""] = eqx.field(converter=as_float)
+    forward_fraction: Float[Array, ""] = eqx.field(converter=as_float)
+
+    def value(self, haversine, wavelength_nm):
+        first = _henyey_greenstein(haversine, self.asymmetry)
+        second = _henyey_greenstein(haversine, self.asymmetry_second)
+        return (self.forward_fraction * first + (1.0 - self.forward_fraction) * second)[:, None]
+
+    def moments(self, count, wavelength_nm):
+        first, second = _powers(self.asymmetry, count), _powers(self.asymmetry_second, count)
+        return (self.forward_fraction * first + (1.0 - self.forward_fraction) * second)[:, None]
+
+
+class CornetteShanks(AbstractPhase):
+    r"""$p = \frac{3}{8\pi} \frac{(1-g^2)(1+\cos^2\gamma)}{(2+g^2)(1+g^2-2g\cos\gamma)^{3/2}}$.
+
+    `asymmetry` here is the parameter g in (-1, 1), not the mean cosine.
+    Source: Cornette & Shanks 1992, Appl. Opt. 31, 3152; Bruneton & Neyret 2008, eq. 4.
+    """
+
+    asymmetry: Float[Array, ""] = eqx.field(converter=as_float)
+
+    def value(self, haversine, wavelength_nm):
+        cosine = 1.0 - 2.0 * haversine
+        scale = 1.5 / (2.0 + self.asymmetry**2)
+        return (scale * (1.0 + cosine**2) * _henyey_greenstein(haversine, self.asymmetry))[:, None]
+
+    def moments(self, count, wavelength_nm):
+        degree = np.arange(count + 2)
+
+        def times_cosine(moments):
+            above = jnp.concatenate([moments[1:], jnp.zeros(1)])
+            below = jnp.concatenate([jnp.zeros(1), moments[:-1]])
+            return ((degree + 1) * above + degree * below) / (2 * degree + 1)
+
+        lobe = _powers(self.asymmetry, count + 2)
+        both = lobe + times_cosine(times_cosine(lobe))
+        return (1.5 / (2.0 + self.asymmetry**2) * both[:count])[:, None]
+
+
+class Tabulated(AbstractPhase):
+    """A table of log values over angle and wavelength, interpolated linearly in both and normalised.
+
+    `angle` radians `[angle]`, increasing; `table_wavelength_nm` `[band]`; `log_value` `[angle, band]`.
+    Beyond the table the end values hold.
+    """
+
+    angle: Float[Array, " angle"] = eqx.field(converter=as_float)
+    table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float)
+    log_value: Float[Array, "angle band"] = eqx.field(converter=as_float)
+
+    @classmethod
+    def bullrich(cls) -> "Tabulated":
+        """Haze by Bullrich's eta for Junge's exponent 4, 400-850 nm: Preetham 1999, Table 1.
+
+        Log eta is interpolated (the paper gives no rule; linear interpolation misses its own K by 7 %).
+        """
+        table = read_table("preetham_table1_eta.csv")
+        names = [name for name in table if name.startswith("eta_")]
+        bands = np.array([float(name.removeprefix("eta_").removesuffix("nm")) for name in names])
+        values = np.stack([table[name] for name in names], axis=1)
+        return cls(np.radians(table["theta_deg"]), bands, np.log(values))
+
+    def _unnormalised(self, haversine, wavelength_nm):
+        inside = jnp.clip(haversine, 1e-12, 1.0 - 1e-6)
+        angle = 2.0 * jnp.arctan2(jnp.sqrt(inside), jnp.sqrt(1.0 - inside))
+        over_wavelength = self.log_value @ hat_weights(wavelength_nm, self.table_wavelength_nm).T
+        return jnp.exp(hat_weights(angle, self.angle) @ over_wavelength)
+
+    def _quadrature(self, count, wavelength_nm):
+        nodes, weights = gauss_legendre(256)
+        # nodes uniform in angle, dense enough for the kinks of the table
+        angle = np.pi * nodes
+        values = self._unnormalised(as_float(np.sin(0.5 * angle) ** 2), wavelength_nm)
+        solid_angle = as_float(2.0 * np.pi * np.pi * weights * np.sin(angle))
+        cosine = as_float(np.cos(angle))
+        legendre = associated_legendre(cosine, 0.0 * cosine, 1, max(count, 1))[:, 0]
+        return (legendre * solid_angle[None]) @ values
+
+    def value(self, haversine, wavelength_nm):
+        return self._unnormalised(haversine, wavelength_nm) / self._quadrature(1, wavelength_nm)
+
+    def moments(self, count, wavelength_nm):
+        moments = self._quadrature(count, wavelength_nm)
+        return moments / moments[:1]

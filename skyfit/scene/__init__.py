@@ -1,0 +1,9 @@
+from .directions import (
+    angle_between as angle_between,
+    as_float as as_float,
+    Directions as Directions,
+    haversine as haversine,
+    hemisphere as hemisphere,
+)
+from .samples import Sky as Sky
+from .scene import Scene as Scene

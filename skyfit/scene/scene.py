@@ -1,0 +1,62 @@
+"""What is looked at: where the sun stands, which directions, which wavelengths."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..light import earth_sun_factor, extraterrestrial_irradiance
+from .directions import Directions, as_float
+
+
+class Scene(eqx.Module):
+    """The geometry and the spectrum of one sky, seen by an observer on the ground.
+
+    `sun_zenith`, `sun_azimuth` in radians, azimuth clockwise from north; `wavelength_nm` in nm;
+    `solar_irradiance` on a plane normal to the sun at the top of the atmosphere, W m^-2 nm^-1.
+    """
+
+    sun_zenith: Float[Array, ""] = eqx.field(converter=as_float)
+    sun_azimuth: Float[Array, ""] = eqx.field(converter=as_float)
+    view: Directions
+    wavelength_nm: Float[Array, " wavelength"] = eqx.field(converter=as_float)
+    solar_irradiance: Float[Array, " wavelength"] = eqx.field(converter=as_float)
+
+    def __check_init__(self):
+        if self.wavelength_nm.ndim != 1 or self.solar_irradiance.shape != self.wavelength_nm.shape:
+            raise ValueError(
+                "`wavelength_nm` must be 1-d and `solar_irradiance` of its length, "
+                f"got {self.wavelength_nm.shape} and {self.solar_irradiance.shape}"
+            )
+
+    @classmethod
+    def from_degrees(
+        cls,
+        sun_zenith,
+        view: Directions,
+        wavelength_nm,
+        sun_azimuth=0.0,
+        day_of_year: int | None = None,
+        fwhm_nm: float | None = None,
+        irradiance: Literal["astm_g173", "preetham", "unit"] | np.ndarray = "astm_g173",
+    ) -> "Scene":
+        """A scene with the sun given in degrees and the solar spectrum looked up.
+
+        **Arguments:** sun angles in degrees; `view`; `wavelength_nm` `[wavelength]`; `day_of_year` scales
+        the irradiance by the Earth-Sun distance (left out: 1 au); `fwhm_nm`, the instrument's Gaussian line
+        shape; `irradiance`, a named spectrum, "unit" (1 at every wavelength) or values in W m^-2 nm^-1.
+        **Returns:** a `Scene`. **Valid:** 300-1100 nm for "astm_g173", 380-750 nm for "preetham".
+        """
+        if isinstance(irradiance, str):
+            if irradiance == "unit":
+                values = np.ones(np.shape(wavelength_nm))
+            else:
+                values = extraterrestrial_irradiance(np.asarray(wavelength_nm), fwhm_nm, irradiance)
+        else:
+            values = irradiance
+        if day_of_year is not None:
+            values = values * earth_sun_factor(day_of_year)
+        sun = jnp.deg2rad(as_float(sun_zenith)), jnp.deg2rad(as_float(sun_azimuth))
+        return cls(*sun, view, wavelength_nm, values)

@@ -1,0 +1,3 @@
+from .orders import OrdersOfScattering as OrdersOfScattering
+from .single import SingleScattering as SingleScattering
+from .solver import AbstractSolver as AbstractSolver, Fluxes as Fluxes, Geometry as Geometry

@@ -1,0 +1,376 @@
+"""Multiple scattering by successive orders with discrete ordinates."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..atmosphere import AbstractConstituent, Atmosphere
+from ..numerics import (
+    associated_legendre,
+    chebyshev_nodes,
+    chebyshev_weights,
+    exp_mean,
+    gauss_legendre,
+    phi1,
+    phi2,
+)
+from ..scene import Scene
+from .optical_path import slant_column, sunlit
+from .single import (
+    attenuated_sources,
+    phase_values,
+    scatterer_indices,
+    transmitted_sun,
+    view_path,
+)
+from .solver import AbstractSolver, check_geometry, Fluxes, Geometry, optics
+
+
+# m, where the layers end
+TOP_OF_ATMOSPHERE = 100e3
+_HEIGHT_TABLE = 512
+
+
+class OrdersOfScattering(AbstractSolver):
+    r"""All orders of scattering and a Lambertian ground, in flat layers, with exact single scattering.
+
+    Fourier modes in azimuth, Gauss streams in zenith angle, delta-M truncation of the phase function; the
+    multiple-scattering source is turned into the exact view directions by its Legendre moments, and single
+    scattering uses the whole phase function (Nakajima & Tanaka's TMS). The orders' tail is summed as a
+    geometric series.
+
+    `streams` per hemisphere; `modes` in azimuth; `levels` of the vertical grid, dense in haze; `orders`
+    followed one by one; `nodes` of the single-scattering integral; `spectral_nodes`, wavelengths at which
+    multiple scattering is solved (0, or an atmosphere that is not smooth in wavelength: all of the scene's);
+    `geometry` "spherical": beam and view paths curved, layers flat for the rest; or "flat".
+
+    **Valid:** sun zenith below 90 degrees flat, to about 85 spherical; view zenith to about 85.
+    **Source:** Nakajima & Tanaka 1988, JQSRT 40, 51; Wiscombe 1977, J. Atmos. Sci. 34, 1408;
+    Lenoble et al. 2007, JQSRT 107, 479 (successive orders).
+    """
+
+    streams: int = eqx.field(static=True, default=8)
+    modes: int = eqx.field(static=True, default=10)
+    levels: int = eqx.field(static=True, default=40)
+    orders: int = eqx.field(static=True, default=10)
+    nodes: int = eqx.field(static=True, default=24)
+    spectral_nodes: int = eqx.field(static=True, default=8)
+    geometry: Geometry = eqx.field(static=True, default="spherical")
+
+    def __check_init__(self):
+        check_geometry(self.geometry)
+
+    @classmethod
+    def draft(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
+        """Within about 2 % of `fine`."""
+        return cls(4, 6, 20, 6, 16, 6, geometry)
+
+    @classmethod
+    def normal(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
+        """Within about 0.5 % of `fine`."""
+        return cls(8, 10, 40, 10, 24, 8, geometry)
+
+    @classmethod
+    def fine(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
+        """The reference of the house."""
+        return cls(16, 20, 100, 24, 64, 0, geometry)
+
+    @eqx.filter_jit
+    def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
+        """Sky radiance by all orders of scattering, W m^-2 sr^-1 nm^-1."""
+        return _radiance(self, atmosphere, scene)
+
+    @eqx.filter_jit
+    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
+        """Irradiance on the ground: the direct beam, the diffuse sky, the ground's reflection.
+
+        The delta-M beam contains the forward peak; it is counted as direct light only as far as the true
+        transmittance goes, the rest as diffuse.
+        """
+        constituents = atmosphere.constituents
+        extinction = optics(constituents, scene.wavelength_nm).extinction
+        layers = _layers(self, atmosphere, scene, scene.wavelength_nm)
+        field = _solve(self, layers)
+        beam = transmitted_sun(constituents, scene, extinction, self.geometry)
+        sun = jnp.maximum(jnp.cos(scene.sun_zenith), 0.0)
+        direct = sun * beam
+        diffuse = field.ground_flux + sun * layers.beam[-1] - direct
+        up = layers.ground_albedo * (direct + diffuse)
+        irradiance = scene.solar_irradiance
+        return Fluxes(direct * irradiance, diffuse * irradiance, up * irradiance)
+
+
+class _Scaled(NamedTuple):
+    """Delta-M scaled optics at some wavelengths; moments of scatterers with the factor 2 l + 1."""
+
+    extinction: Float[Array, "constituent wavelength"]
+    scattering: Float[Array, "scatterer wavelength"]
+    moments: Float[Array, "moment scatterer wavelength"]
+
+
+class _Layers(NamedTuple):
+    """The layered problem of one sky, top to ground, per unit solar irradiance."""
+
+    height: Float[Array, " level"]
+    depth: Float[Array, "layer wavelength"]
+    beam: Float[Array, "level wavelength"]
+    beam_depth: Float[Array, "layer wavelength"]
+    moments: Float[Array, "moment layer wavelength"]
+    sun_harmonics: Float[Array, "moment mode"]
+    sun_cosine: Float[Array, ""]
+    ground_albedo: Float[Array, " wavelength"]
+
+
+class _Field(NamedTuple):
+    """Moments of the diffuse radiance at the levels, and the irradiance on the ground."""
+
+    moments: Float[Array, "moment mode level wavelength"]
+    ground_flux: Float[Array, " wavelength"]
+    top_flux: Float[Array, " wavelength"]
+
+
+def _scaled_optics(
+    constituents: tuple[AbstractConstituent, ...], wavelength_nm, count: int
+) -> _Scaled:
+    """Delta-M: the forward peak beyond moment `count` - 1 counts as unscattered (Wiscombe 1977)."""
+    depth = optics(constituents, wavelength_nm)
+    extinction, scattering, moments = [], [], []
+    for i, c in enumerate(constituents):
+        if c.phase is None:
+            extinction.append(depth.extinction[i])
+            continue
+        all_moments = c.phase.moments(count + 1, wavelength_nm) + jnp.zeros_like(wavelength_nm)[None]
+        peak = all_moments[count]
+        extinction.append(depth.extinction[i] - peak * depth.scattering[i])
+        scattering.append((1.0 - peak) * depth.scattering[i])
+        moments.append((all_moments[:count] - peak[None]) / (1.0 - peak[None]))
+    degree = 2.0 * np.arange(count) + 1.0
+    weighted = jnp.stack(moments, axis=1) * jnp.asarray(degree, wavelength_nm.dtype)[:, None, None]
+    return _Scaled(jnp.stack(extinction), jnp.stack(scattering), weighted)
+
+
+def _level_heights(constituents: tuple[AbstractConstituent, ...], levels: int) -> Float[Array, " level"]:
+    """Heights (m) of the levels, top to ground, equal steps of the scatterers' mean column share."""
+    scatterers = [c.profile for c in constituents if c.phase is not None]
+    # the lowest lying scatterer gets the larger share: haze is where radiance bends
+    table = TOP_OF_ATMOSPHERE * (np.arange(_HEIGHT_TABLE + 1) / _HEIGHT_TABLE) ** 3
+    height = jnp.asarray(table, jnp.result_type(float))
+    share = sum(p.above(height) for p in scatterers) / len(scatterers)
+    share = (share - share[-1]) / (share[0] - share[-1])
+    target = jnp.arange(levels + 1) / levels
+    return jnp.interp(target.astype(height.dtype), share[::-1], height[::-1])
+
+
+def _layers(solver: OrdersOfScattering, atmosphere: Atmosphere, scene: Scene, wavelength_nm) -> _Layers:
+    constituents = atmosphere.constituents
+    count = 2 * solver.streams
+    scaled = _scaled_optics(constituents, wavelength_nm, count)
+    height = _level_heights(constituents, solver.levels)
+    share = jnp.stack([jnp.diff(c.profile.above(height)) for c in constituents])
+    scatterers = scatterer_indices(constituents)
+    depth = share.T @ scaled.extinction
+    scattered = jnp.stack([share[i] for i in scatterers])[:, :, None] * scaled.scattering[:, None, :]
+    fraction = scattered / jnp.where(depth > 0.0, depth, 1.0)[None]
+    moments = jnp.einsum("skw,lsw->lkw", fraction, scaled.moments)
+    cosine = jnp.cos(scene.sun_zenith) + jnp.zeros_like(height)
+    slant = jnp.stack([slant_column(c.profile, height, cosine, solver.geometry) for c in constituents])
+    sun_depth = slant.T @ scaled.extinction
+    lit = sunlit(height, cosine, solver.geometry)
+    beam = jnp.where(lit[:, None], jnp.exp(-sun_depth), 0.0)
+    harmonics = associated_legendre(
+        jnp.cos(scene.sun_zenith), jnp.sin(scene.sun_zenith), solver.modes, count
+    )
+    return _Layers(
+        height,
+        depth,
+        beam,
+        jnp.maximum(jnp.diff(sun_depth, axis=0), 0.0),
+        moments,
+        harmonics,
+        jnp.maximum(jnp.cos(scene.sun_zenith), 0.0),
+        atmosphere.ground.reflectance(wavelength_nm),
+    )
+
+
+def _solve(solver: OrdersOfScattering, layers: _Layers) -> _Field:
+    """Successive orders on the streams: moments of the radiance summed over all orders."""
+    cosine, weight = gauss_legendre(solver.streams)
+    count, modes, dtype = 2 * solver.streams, solver.modes, layers.depth.dtype
+    harmonics = np.asarray(_stream_harmonics(solver.streams, modes), dtype)
+    parity = (-1.0) ** (np.arange(count)[:, None] + np.arange(modes)[None])
+    parity = jnp.asarray(parity, dtype)[:, :, None, None]
+    to_moment = jnp.asarray(0.5 * weight * harmonics, dtype)
+    from_moment = jnp.asarray(harmonics, dtype)
+    mu = jnp.asarray(cosine, dtype)[None, :, None]
+    slant = layers.depth[:, None, :] / mu
+    decay = jnp.exp(-slant)[:, None]
+    entry = (slant * (phi1(slant) - phi2(slant)))[:, None]
+    leave = (slant * phi2(slant))[:, None]
+    lambert = 1.0 / np.pi
+    flux_weight = jnp.asarray(2.0 * np.pi * weight * cosine, dtype)
+    first_mode = jnp.asarray(np.eye(modes)[0], dtype)[:, None, None]
+
+    def to_streams(moments):
+        return jnp.einsum("lmn,lmkw->kmnw", from_moment, moments)
+
+    def transport(down_source, up_source, beam_flux):
+        """Radiance at the levels from each layer's contribution, reflection by the ground included."""
+
+        def step(radiance, layer):
+            fade, source = layer
+            radiance = radiance * fade + source
+            return radiance, radiance
+
+        dark = jnp.zeros_like(down_source[0])
+        at_ground, down = jax.lax.scan(step, dark, (decay, down_source))
+        flux = jnp.einsum("n,nw->w", flux_weight, at_ground[0])
+        reflected = first_mode * (lambert * layers.ground_albedo * (flux + beam_flux))[None, None]
+        start = reflected + dark
+        at_top, up = jax.lax.scan(step, start, (decay, up_source), reverse=True)
+        down = jnp.concatenate([dark[None], down])
+        up = jnp.concatenate([up, start[None]])
+        moments = jnp.einsum("lmn,kmnw->lmkw", to_moment, down) + parity * jnp.einsum(
+            "lmn,kmnw->lmkw", to_moment, up
+        )
+        return moments, flux, jnp.einsum("n,nw->w", flux_weight, at_top[0])
+
+    # first order: the beam, exponential within each layer
+    mode_weight = jnp.asarray(np.where(np.arange(modes) == 0, 1.0, 2.0) / (4.0 * np.pi), dtype)
+    beam_moments = (layers.sun_harmonics * mode_weight[None])[:, :, None, None] * layers.moments[:, None]
+    sun_slant = layers.beam_depth[:, None, :]
+    into_down = (slant * exp_mean(sun_slant, slant) * layers.beam[:-1, None, :])[:, None]
+    into_up = (slant * phi1(sun_slant + slant) * layers.beam[:-1, None, :])[:, None]
+    moments, flux, top = transport(
+        to_streams(beam_moments) * into_down,
+        to_streams(parity * beam_moments) * into_up,
+        layers.sun_cosine * layers.beam[-1],
+    )
+
+    def order(carry, _):
+        moments, total, flux_total, top_total = carry
+        above = layers.moments[:, None] * moments[:, :, :-1]
+        below = layers.moments[:, None] * moments[:, :, 1:]
+        down_source = entry * to_streams(above) + leave * to_streams(below)
+        up_source = leave * to_streams(parity * above) + entry * to_streams(parity * below)
+        new, flux, top = transport(down_source, up_source, jnp.zeros_like(layers.beam[-1]))
+        ratio = jnp.sum(new[0, 0], axis=0) / jnp.maximum(jnp.sum(moments[0, 0], axis=0), 1e-30)
+        carry = (new, total + new, flux_total + flux, top_total + top)
+        return carry, (ratio, flux, top)
+
+    (last, total, flux_total, top_total), (ratio, flux, top) = jax.lax.scan(
+        order, (moments, moments, flux, top), None, length=solver.orders - 1
+    )
+    # the orders that follow shrink by one factor: a geometric series closes the azimuthal mean
+    factor = jnp.clip(ratio[-1], 0.0, 0.999)
+    tail = factor / (1.0 - factor)
+    closing = first_mode[None] * tail[None, None, None] * last
+    return _Field(total + closing, flux_total + tail * flux[-1], top_total + tail * top[-1])
+
+
+def _stream_harmonics(streams: int, modes: int) -> np.ndarray:
+    """Associated Legendre functions at the streams, `[moment, mode, stream]`, host-side."""
+    cosine, _ = gauss_legendre(streams)
+    sine = np.sqrt(1.0 - cosine**2)
+    count = 2 * streams
+    values = np.zeros((count, modes, streams))
+    corner = np.ones_like(cosine)
+    for m in range(min(modes, count)):
+        if m > 0:
+            corner = corner * np.sqrt((2 * m - 1) / (2 * m)) * sine
+        values[m, m] = corner
+        for n in range(m + 1, count):
+            below = values[n - 2, m] if n - 2 >= m else 0.0
+            values[n, m] = (
+                (2 * n - 1) * cosine * values[n - 1, m] - np.sqrt((n - 1) ** 2 - m**2) * below
+            ) / np.sqrt(n**2 - m**2)
+    return values
+
+
+def _multiple(
+    solver: OrdersOfScattering, atmosphere: Atmosphere, scene: Scene, wavelength_nm
+) -> Float[Array, "direction wavelength"]:
+    """Radiance of second and higher orders toward the observer, per unit solar irradiance."""
+    constituents = atmosphere.constituents
+    layers = _layers(solver, atmosphere, scene, wavelength_nm)
+    field = _solve(solver, layers)
+    view, count = scene.view, 2 * solver.streams
+    cosine = jnp.maximum(jnp.cos(view.zenith), 0.0)
+    harmonics = associated_legendre(cosine, jnp.sin(view.zenith), solver.modes, count)
+    turn = jnp.arange(solver.modes)[:, None] * (view.azimuth - scene.sun_azimuth)[None]
+    basis = harmonics * jnp.cos(turn)[None]
+    extinction = _scaled_optics(constituents, wavelength_nm, count).extinction
+    column = _view_columns(constituents, layers.height, cosine, solver.geometry)
+    to_level = jnp.maximum(jnp.einsum("ckd,cw->dkw", column, extinction), 0.0)
+    slant = jnp.maximum(to_level[:, :-1] - to_level[:, 1:], 0.0)
+
+    def source(moments):
+        return jnp.einsum("lmd,lmkw->dkw", basis, layers.moments[:, None] * moments)
+
+    first, second = phi1(slant), phi2(slant)
+    per_layer = (first - second) * source(field.moments[:, :, :-1]) + second * source(
+        field.moments[:, :, 1:]
+    )
+    radiance = jnp.sum(jnp.exp(-to_level[:, 1:]) * slant * per_layer, axis=1)
+    return jnp.where((view.zenith < 0.5 * np.pi)[:, None], radiance, 0.0)
+
+
+def _view_columns(constituents, height, cosine, geometry: Geometry):
+    """Normalised columns from the observer up to each level along each view, `[constituent level direction]`."""
+    shape = (height.shape[0], cosine.shape[0])
+    levels = jnp.broadcast_to(height[:, None], shape)
+    if geometry == "flat":
+        local = jnp.broadcast_to(cosine[None], shape)
+    else:
+        from .optical_path import EARTH_RADIUS
+
+        # the impact parameter stays: r sin is the same at every height
+        ratio = EARTH_RADIUS / (EARTH_RADIUS + levels)
+        local = jnp.sqrt(jnp.maximum(1.0 - ratio**2 * (1.0 - cosine**2)[None], 1e-12))
+    columns = []
+    for c in constituents:
+        beyond = slant_column(c.profile, levels, local, geometry)
+        columns.append(beyond[-1:] - beyond)
+    return jnp.stack(columns)
+
+
+def _radiance(solver: OrdersOfScattering, atmosphere: Atmosphere, scene: Scene):
+    constituents = atmosphere.constituents
+    scatterers = scatterer_indices(constituents)
+    wavelength = scene.wavelength_nm
+    if not scatterers:
+        return jnp.zeros((scene.view.zenith.shape[0], wavelength.shape[0]))
+    few = solver.spectral_nodes
+    interpolated = 0 < few < wavelength.shape[0] and atmosphere.smooth_in_wavelength
+    nodes = _spectral_nodes(wavelength, few) if interpolated else wavelength
+    everywhere = jnp.concatenate([wavelength, nodes]) if interpolated else wavelength
+    count = wavelength.shape[0]
+    depth = optics(constituents, everywhere)
+    scaled = _scaled_optics(constituents, everywhere, 2 * solver.streams)
+    path = view_path(constituents, scene, solver.nodes, solver.geometry)
+    integral = attenuated_sources(path, scaled.extinction, scatterers)
+    scattered = integral * jnp.stack([depth.scattering[i] for i in scatterers])[None]
+    phases = phase_values(constituents, scene, wavelength)
+    single = sum(p * scattered[:, j, :count] for j, p in enumerate(phases))
+    multiple = _multiple(solver, atmosphere, scene, nodes)
+    if interpolated:
+        # multiple over isotropic single scattering is smooth in wavelength
+        isotropic = jnp.sum(scattered, axis=1) + 1e-30
+        weights = chebyshev_weights(_unit_log(wavelength, wavelength), few)
+        multiple = ((multiple / isotropic[:, count:]) @ weights.T) * isotropic[:, :count]
+    return (single + multiple) * scene.solar_irradiance[None]
+
+
+def _unit_log(wavelength, scene_wavelength):
+    """Log wavelength mapped to [-1, 1] over the scene's range."""
+    low, high = jnp.log(jnp.min(scene_wavelength)), jnp.log(jnp.max(scene_wavelength))
+    return (2.0 * jnp.log(wavelength) - low - high) / jnp.maximum(high - low, 1e-9)
+
+
+def _spectral_nodes(wavelength, count: int):
+    """Wavelengths at Chebyshev nodes of log wavelength over the scene's range."""
+    low, high = jnp.log(jnp.min(wavelength)), jnp.log(jnp.max(wavelength))
+    return jnp.exp(0.5 * (low + high) + 0.5 * (high - low) * jnp.asarray(chebyshev_nodes(count), wavelength.dtype))

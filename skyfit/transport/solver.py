@@ -1,0 +1,60 @@
+"""What every transport solver answers, and the optics of an atmosphere as solvers use them."""
+
+from abc import abstractmethod
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..atmosphere import AbstractConstituent, Atmosphere
+from ..scene import Scene
+
+
+Geometry = Literal["flat", "spherical"]
+
+
+class Fluxes(NamedTuple):
+    """Irradiance on the horizontal ground, W m^-2 nm^-1, `[wavelength]` each."""
+
+    direct: Float[Array, " wavelength"]
+    diffuse_down: Float[Array, " wavelength"]
+    up: Float[Array, " wavelength"]
+
+
+class AbstractSolver(eqx.Module):
+    """A way to solve the transfer of sunlight to an observer on the ground; holds only its resolution."""
+
+    geometry: eqx.AbstractVar[Geometry]
+
+    @abstractmethod
+    def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
+        """Diffuse sky radiance, W m^-2 sr^-1 nm^-1; zero for directions below the horizon."""
+
+    @abstractmethod
+    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
+        """Direct, diffuse downward and upward irradiance on the ground."""
+
+
+class Optics(NamedTuple):
+    """Vertical optical depths of each constituent at some wavelengths."""
+
+    extinction: Float[Array, "constituent wavelength"]
+    scattering: Float[Array, "constituent wavelength"]
+
+
+def optics(
+    constituents: tuple[AbstractConstituent, ...], wavelength_nm: Float[Array, " wavelength"]
+) -> Optics:
+    """Extinction and scattering optical depth, one row a constituent; absorbers scatter nothing."""
+    extinction = jnp.stack([c.extinction(wavelength_nm) for c in constituents])
+    albedo = jnp.stack(
+        [jnp.zeros_like(wavelength_nm) if c.phase is None else c.albedo(wavelength_nm) for c in constituents]
+    )
+    return Optics(extinction, extinction * albedo)
+
+
+def check_geometry(geometry: str) -> None:
+    """A `ValueError` unless the geometry is known."""
+    if geometry not in ("flat", "spherical"):
+        raise ValueError(f'`geometry` must be "flat" or "spherical", got {geometry!r}')
