@@ -41,8 +41,10 @@ def length_scale(radius, cosine, height):
     return square / (jnp.sqrt(start**2 + square) + start)
 
 
-def _outward_column(profile: AbstractProfile, height, cosine):
-    """The column from `height` to space along a ray that climbs (`cosine` >= 0)."""
+def outward_column(profile: AbstractProfile, height, cosine, geometry: Geometry):
+    """As `slant_column` for a ray that climbs: valid for `cosine` >= 0 only, at half its cost."""
+    if geometry == "flat":
+        return profile.above(height) / jnp.maximum(cosine, MIN_COSINE)
     nodes, weights = exponential_nodes(_COLUMN_NODES)
     radius = (EARTH_RADIUS + height)[..., None]
     cosine = cosine[..., None]
@@ -70,10 +72,10 @@ def slant_column(
     **Source:** Klassen 1987, eq. 27, 28 with the exact change of variable (his l(r) is linear in r).
     """
     if geometry == "flat":
-        return profile.above(height) / jnp.maximum(cosine, MIN_COSINE)
-    outward = _outward_column(profile, height, jnp.abs(cosine))
+        return outward_column(profile, height, cosine, geometry)
+    outward = outward_column(profile, height, jnp.abs(cosine), geometry)
     lowest = jnp.maximum(tangent_height(height, cosine), 0.0)
-    through = 2.0 * _outward_column(profile, lowest, jnp.zeros_like(lowest)) - outward
+    through = 2.0 * outward_column(profile, lowest, jnp.zeros_like(lowest), geometry) - outward
     return jnp.where(cosine >= 0.0, outward, jnp.maximum(through, outward))
 
 
@@ -81,6 +83,27 @@ def tangent_height(height, cosine):
     """Height of the point of a ray's line that is nearest to the Earth's centre, m, negative inside."""
     sine = safe_sqrt(1.0 - cosine**2)
     return height - (EARTH_RADIUS + height) * cosine**2 / (1.0 + sine)
+
+
+def layer_airmass(
+    height: Float[Array, " level"], cosine: Float[Array, " direction"], geometry: Geometry
+) -> Float[Array, "layer direction"]:
+    r"""Length of a ray from the ground within each layer over the layer's thickness.
+
+    **Arguments:** `height` of the levels, top to ground (m); `cosine` of the view zenith angle at the ground.
+    **Returns:** dimensionless, $1/\mu$ when flat. **Valid:** cosine >= 0 (flat: >= 1e-4).
+    """
+    if geometry == "flat":
+        airmass = 1.0 / jnp.maximum(cosine, MIN_COSINE)
+        return jnp.broadcast_to(airmass[None], (height.shape[0] - 1, cosine.shape[0]))
+    upper, lower = height[:-1, None], height[1:, None]
+
+    def from_tangent(level):
+        # distance from the point nearest to the Earth's centre; r sin(zenith) stays along the ray
+        square = (EARTH_RADIUS * cosine[None]) ** 2 + level * (2.0 * EARTH_RADIUS + level)
+        return jnp.sqrt(jnp.maximum(square, 1.0))
+
+    return (2.0 * EARTH_RADIUS + upper + lower) / (from_tangent(upper) + from_tangent(lower))
 
 
 def sunlit(

@@ -19,7 +19,7 @@ from ..numerics import (
     phi2,
 )
 from ..scene import Scene
-from .optical_path import slant_column, sunlit
+from .optical_path import layer_airmass, slant_column, sunlit
 from .single import (
     attenuated_sources,
     phase_values,
@@ -294,7 +294,6 @@ def _multiple(
     solver: OrdersOfScattering, atmosphere: Atmosphere, scene: Scene, wavelength_nm
 ) -> Float[Array, "direction wavelength"]:
     """Radiance of second and higher orders toward the observer, per unit solar irradiance."""
-    constituents = atmosphere.constituents
     layers = _layers(solver, atmosphere, scene, wavelength_nm)
     field = _solve(solver, layers)
     view, count = scene.view, 2 * solver.streams
@@ -302,10 +301,9 @@ def _multiple(
     harmonics = associated_legendre(cosine, jnp.sin(view.zenith), solver.modes, count)
     turn = jnp.arange(solver.modes)[:, None] * (view.azimuth - scene.sun_azimuth)[None]
     basis = harmonics * jnp.cos(turn)[None]
-    extinction = _scaled_optics(constituents, wavelength_nm, count).extinction
-    column = _view_columns(constituents, layers.height, cosine, solver.geometry)
-    to_level = jnp.maximum(jnp.einsum("ckd,cw->dkw", column, extinction), 0.0)
-    slant = jnp.maximum(to_level[:, :-1] - to_level[:, 1:], 0.0)
+    airmass = layer_airmass(layers.height, cosine, solver.geometry)
+    slant = airmass.T[:, :, None] * layers.depth[None]
+    below = jnp.cumsum(slant[:, ::-1], axis=1)[:, ::-1] - slant
 
     def source(moments):
         return jnp.einsum("lmd,lmkw->dkw", basis, layers.moments[:, None] * moments)
@@ -314,27 +312,8 @@ def _multiple(
     per_layer = (first - second) * source(field.moments[:, :, :-1]) + second * source(
         field.moments[:, :, 1:]
     )
-    radiance = jnp.sum(jnp.exp(-to_level[:, 1:]) * slant * per_layer, axis=1)
+    radiance = jnp.sum(jnp.exp(-below) * slant * per_layer, axis=1)
     return jnp.where((view.zenith < 0.5 * np.pi)[:, None], radiance, 0.0)
-
-
-def _view_columns(constituents, height, cosine, geometry: Geometry):
-    """Normalised columns from the observer up to each level along each view, `[constituent level direction]`."""
-    shape = (height.shape[0], cosine.shape[0])
-    levels = jnp.broadcast_to(height[:, None], shape)
-    if geometry == "flat":
-        local = jnp.broadcast_to(cosine[None], shape)
-    else:
-        from .optical_path import EARTH_RADIUS
-
-        # the impact parameter stays: r sin is the same at every height
-        ratio = EARTH_RADIUS / (EARTH_RADIUS + levels)
-        local = jnp.sqrt(jnp.maximum(1.0 - ratio**2 * (1.0 - cosine**2)[None], 1e-12))
-    columns = []
-    for c in constituents:
-        beyond = slant_column(c.profile, levels, local, geometry)
-        columns.append(beyond[-1:] - beyond)
-    return jnp.stack(columns)
 
 
 def _radiance(solver: OrdersOfScattering, atmosphere: Atmosphere, scene: Scene):

@@ -16,6 +16,7 @@ from .optical_path import (
     height_gain,
     length_scale,
     MIN_COSINE,
+    outward_column,
     slant_column,
     sunlit,
 )
@@ -63,8 +64,8 @@ def view_path(
     ground = jnp.zeros_like(cosine)
     column = jnp.stack(
         [
-            slant_column(c.profile, ground, cosine, geometry)[:, None]
-            - slant_column(c.profile, height, view_cosine, geometry)
+            outward_column(c.profile, ground, cosine, geometry)[:, None]
+            - outward_column(c.profile, height, view_cosine, geometry)
             + slant_column(c.profile, height, local_sun, geometry)
             for c in constituents
         ],
