@@ -1,4 +1,9 @@
-from .guarded import exp_mean as exp_mean, phi1 as phi1, phi2 as phi2, safe_sqrt as safe_sqrt
+from .guarded import (
+    exp_mean as exp_mean,
+    phi1 as phi1,
+    phi_functions as phi_functions,
+    safe_sqrt as safe_sqrt,
+)
 from .interpolation import (
     chebyshev_nodes as chebyshev_nodes,
     chebyshev_weights as chebyshev_weights,

@@ -5,43 +5,32 @@ from jaxtyping import Array, Float
 
 
 _SERIES_LIMIT = 0.5
-_SERIES_TERMS = 12
 
 
-def _series(x, first_factorial: int):
-    """sum_k (-x)^k first! / (k + first)!, by Horner."""
-    total = jnp.ones_like(x)
-    for k in range(_SERIES_TERMS, 0, -1):
-        total = 1.0 - x / (k + first_factorial) * total
-    return total
+def phi_functions(x: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    r"""$\varphi_1(x) = (1 - e^{-x}) / x$ and $\varphi_2(x) = (x - 1 + e^{-x}) / x^2$, all digits kept.
 
-
-def phi1(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    r"""The mean of $e^{-xt}$ over $t \in [0, 1]$, $\varphi_1(x) = (1 - e^{-x}) / x$.
+    The means of $e^{-xt}$ and of $(1 - t) e^{-xt}$ over $t \in [0, 1]$.
 
     **Arguments:** `x`, dimensionless, any shape.
-    **Returns:** the same shape; 1 at x = 0.
-    **Valid:** x > -80 in float32; a series takes over near 0, so value and gradient keep all digits.
+    **Returns:** two arrays of that shape; 1 and 1/2 at x = 0.
+    **Valid:** x > -80 in float32; a series takes over near 0, so values and gradients keep all digits.
     **Source:** Hochbruck & Ostermann 2010, Exponential integrators, eq. 2.10.
     """
     small = jnp.abs(x) < _SERIES_LIMIT
-    safe = jnp.where(small, 1.0, x)
-    return jnp.where(small, _series(jnp.where(small, x, 0.0), 1), -jnp.expm1(-safe) / safe)
+    near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
+    series = jnp.ones_like(x)
+    for k in range(7 if x.dtype == jnp.float32 else 13, 0, -1):
+        series = 1.0 - near / (k + 2) * series
+    near_second = 0.5 * series
+    far_first = -jnp.expm1(-far) / far
+    first = jnp.where(small, 1.0 - near * near_second, far_first)
+    return first, jnp.where(small, near_second, (1.0 - far_first) / far)
 
 
-def phi2(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    r"""The mean of $(1 - t) e^{-xt}$ over $t \in [0, 1]$, $\varphi_2(x) = (x - 1 + e^{-x}) / x^2$.
-
-    **Arguments:** `x`, dimensionless, any shape.
-    **Returns:** the same shape; 1/2 at x = 0.
-    **Valid:** as `phi1`.
-    **Source:** Hochbruck & Ostermann 2010, eq. 2.10.
-    """
-    small = jnp.abs(x) < _SERIES_LIMIT
-    safe = jnp.where(small, 1.0, x)
-    return jnp.where(
-        small, 0.5 * _series(jnp.where(small, x, 0.0), 2), (safe + jnp.expm1(-safe)) / (safe * safe)
-    )
+def phi1(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """The first of `phi_functions`."""
+    return phi_functions(x)[0]
 
 
 def exp_mean(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -1,0 +1,140 @@
+"""From spectral radiance to what an eye and a screen make of it."""
+
+from functools import lru_cache
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, Real
+
+
+# SI 2019: luminous efficacy of 540 THz radiation
+LUMINOUS_EFFICACY = 683.0  # lm W^-1
+
+# IEC 61966-2-1:1999, linear sRGB from XYZ with Y = 1 for white
+_SRGB_FROM_XYZ = np.array(
+    [
+        [3.2406, -1.5372, -0.4986],
+        [-0.9689, 1.8758, 0.0415],
+        [0.0557, -0.2040, 1.0570],
+    ]
+)
+_SRGB_LINEAR_END = 0.0031308  # the same standard: below, the transfer function is a line
+
+
+def xyz(
+    radiance: Float[Array, "... wavelength"], wavelength_nm: Real[Array | np.ndarray, " wavelength"]
+) -> Float[Array, "... 3"]:
+    r"""Tristimulus values of spectral radiance for the CIE 1931 2 degree observer.
+
+    $(X, Y, Z) = 683 \int L(\lambda) (\bar x, \bar y, \bar z) d\lambda$, $L$ linear between the
+    wavelengths: a coarse grid costs only what it leaves out of $L$, not of the observer.
+
+    **Arguments:** `radiance` W m^-2 sr^-1 nm^-1, `[..., wavelength]`; `wavelength_nm` nm, concrete.
+    **Returns:** `[..., 3]` in cd m^-2; Y is the luminance.
+    **Valid:** increasing wavelengths that cover 400-700 nm, else `ValueError`. Beyond its ends the
+    radiance is held constant, as ASTM E308 does; what lies outside 360-830 nm does not count.
+    **Source:** CIE 015:2018, observer from colour-science (1 nm).
+    """
+    weights = jnp.asarray(_observer_weights(wavelength_nm), dtype=radiance.dtype)
+    return jnp.einsum("...w,wc->...c", radiance, weights, precision="highest")
+
+
+def xyY(
+    radiance: Float[Array, "... wavelength"], wavelength_nm: Real[Array | np.ndarray, " wavelength"]
+) -> Float[Array, "... 3"]:
+    """Chromaticity x, y and luminance Y of spectral radiance.
+
+    x = X / (X + Y + Z), y = Y / (X + Y + Z).
+
+    **Arguments, valid, source:** as `xyz`.
+    **Returns:** `[..., 3]`: x, y dimensionless, Y in cd m^-2. Black has x = y = 1/3.
+    """
+    tristimulus = xyz(radiance, wavelength_nm)
+    total = jnp.sum(tristimulus, axis=-1)
+    lit = total != 0.0
+    safe = jnp.where(lit, total, 1.0)
+    x = jnp.where(lit, tristimulus[..., 0] / safe, 1.0 / 3.0)
+    y = jnp.where(lit, tristimulus[..., 1] / safe, 1.0 / 3.0)
+    return jnp.stack([x, y, tristimulus[..., 1]], axis=-1)
+
+
+def xyz_from_xyY(chromaticity_luminance: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+    """Tristimulus values from chromaticity and luminance, the inverse of `xyY`.
+
+    X = x Y / y, Z = (1 - x - y) Y / y.
+
+    **Arguments:** `[..., 3]`: x, y, Y as `xyY` returns them.
+    **Returns:** `[..., 3]`: X, Y, Z in the unit of Y.
+    **Valid:** y > 0; smaller y is taken as 1e-6.
+    **Source:** CIE 015:2018.
+    """
+    x = chromaticity_luminance[..., 0]
+    y = jnp.maximum(chromaticity_luminance[..., 1], 1e-6)
+    luminance = chromaticity_luminance[..., 2]
+    scale = luminance / y
+    return jnp.stack([x * scale, luminance, (1.0 - x - y) * scale], axis=-1)
+
+
+def srgb(
+    radiance: Float[Array, "... wavelength"],
+    wavelength_nm: Real[Array | np.ndarray, " wavelength"],
+    exposure: Float[ArrayLike, ""],
+) -> Float[Array, "... 3"]:
+    """Encoded sRGB pixel of spectral radiance, `srgb_from_xyz(xyz(...), exposure)`.
+
+    **Arguments:** as `xyz`; `exposure` in 1 / (cd m^-2): luminance 1 / exposure is white.
+    **Returns, valid, source:** as `srgb_from_xyz`.
+    """
+    return srgb_from_xyz(xyz(radiance, wavelength_nm), exposure)
+
+
+def srgb_from_xyz(
+    tristimulus: Float[Array, "... 3"], exposure: Float[ArrayLike, ""]
+) -> Float[Array, "... 3"]:
+    r"""Encoded sRGB pixel of tristimulus values.
+
+    $c = M (X, Y, Z) \cdot$ exposure; $12.92 c$ up to 0.0031308, $1.055 c^{1/2.4} - 0.055$ beyond.
+
+    **Arguments:** `tristimulus` cd m^-2, `[..., 3]`; `exposure` in 1 / (cd m^-2).
+    **Returns:** `[..., 3]` red, green, blue; 0 to 1 on the screen, not clipped: a colour out of
+    the screen's range or too bright lies outside, and the gradient tells the way back.
+    **Valid:** everywhere; a negative component stays on the straight part of the curve.
+    **Source:** IEC 61966-2-1:1999.
+    """
+    matrix = jnp.asarray(_SRGB_FROM_XYZ, dtype=tristimulus.dtype)
+    linear = exposure * jnp.einsum("...w,cw->...c", tristimulus, matrix, precision="highest")
+    bright = linear > _SRGB_LINEAR_END
+    power = 1.055 * jnp.where(bright, linear, 1.0) ** (1.0 / 2.4) - 0.055
+    return jnp.where(bright, power, 12.92 * linear)
+
+
+def _observer_weights(wavelength_nm) -> np.ndarray:
+    """683 times the integral of every wavelength's hat function with the observer, `[:, 3]`.
+
+    Both are piecewise linear: between the union of their nodes Simpson's rule is exact.
+    """
+    grid = np.asarray(wavelength_nm, dtype=np.float64)
+    if grid.size < 2 or not np.all(np.diff(grid) > 0.0):
+        raise ValueError(f"`wavelength_nm` must be increasing, two values at least, got {grid}")
+    if grid[0] > 400.0 or grid[-1] < 700.0:
+        raise ValueError(f"`wavelength_nm` must cover 400-700 nm for a colour, got {grid[0]:g}-{grid[-1]:g}")
+    observer_nm, observer = _observer()
+    inside = grid[(grid > observer_nm[0]) & (grid < observer_nm[-1])]
+    node = np.union1d(observer_nm, inside)
+    place = np.sort(np.concatenate([node, 0.5 * (node[1:] + node[:-1])]))
+    step = np.diff(node)
+    simpson = np.zeros_like(place)
+    simpson[0:-1:2] += step / 6.0
+    simpson[2::2] += step / 6.0
+    simpson[1::2] = step * (2.0 / 3.0)
+    functions = np.stack([np.interp(place, observer_nm, column) for column in observer.T])
+    hats = np.stack([np.interp(place, grid, row) for row in np.eye(grid.size)])
+    return LUMINOUS_EFFICACY * hats @ (simpson * functions).T
+
+
+@lru_cache(maxsize=1)
+def _observer():
+    import colour
+
+    observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    return np.array(observer.wavelengths), np.array(observer.values)

@@ -1,0 +1,2 @@
+from .perez import Perez as Perez, perez_distribution as perez_distribution
+from .preetham import Preetham as Preetham

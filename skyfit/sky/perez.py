@@ -1,0 +1,95 @@
+"""The five-parameter distribution of sky light by Perez, Seals and Michalsky."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+
+# cos(89.43 deg): from there down the sky keeps one value per angle from the sun
+_LOWEST_COSINE = 0.01
+# exp(20) = 5e8: the square of a product of two of them is still a float32
+_LARGEST_EXPONENT = 20.0
+_SMALLEST_ZENITH = 1e-6
+
+
+def perez_distribution(
+    coefficients: Float[Array, " parameter"],
+    theta: Float[ArrayLike, "*direction"],
+    gamma: Float[ArrayLike, "*direction"],
+) -> Float[Array, "*direction"]:
+    r"""Relative sky light in a direction.
+
+    $F(\theta, \gamma) = (1 + A e^{B / \cos\theta}) (1 + C e^{D \gamma} + E \cos^2\gamma)$
+
+    **Arguments:** `coefficients` A, B, C, D, E, `[5]`; `theta` view zenith angle, `gamma` angle
+    from the sun, radians, `[direction]`.
+    **Returns:** dimensionless, `[direction]`.
+    **Valid:** theta below pi/2. The inputs are guarded: cos(theta) is at least 0.01, so that at
+    the horizon and below it the value is that of 89.43 degrees; the exponents are at most 20. Value
+    and gradients are finite everywhere.
+    **Source:** Perez et al. 1993 eq. 1; Preetham 1999 eq. 3.
+    """
+    a, b, c, d, e = coefficients
+    cosine = jnp.maximum(jnp.cos(theta), _LOWEST_COSINE)
+    horizon = 1.0 + a * jnp.exp(jnp.minimum(b / cosine, _LARGEST_EXPONENT))
+    circumsolar = c * jnp.exp(jnp.minimum(d * jnp.asarray(gamma), _LARGEST_EXPONENT))
+    return horizon * (1.0 + circumsolar + e * jnp.square(jnp.cos(gamma)))
+
+
+class Perez(eqx.Module):
+    """Perez' distribution with its five coefficients; see `perez_distribution`.
+
+    `horizon_darkening` A: negative brightens the horizon. `horizon_gradient` B: how near the
+    horizon that happens, negative. `circumsolar_intensity` C. `circumsolar_width` D, per radian,
+    negative: nearer to 0 is wider. `backscatter` E.
+    """
+
+    horizon_darkening: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    horizon_gradient: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    circumsolar_intensity: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    circumsolar_width: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    backscatter: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+
+    @classmethod
+    def from_coefficients(cls, coefficients: Float[Array, " parameter"]) -> "Perez":
+        """A distribution from A, B, C, D, E in one array `[5]`."""
+        return cls(*coefficients)
+
+    @property
+    def coefficients(self) -> Float[Array, " parameter"]:
+        """A, B, C, D, E in one array `[5]`."""
+        return jnp.stack(
+            [
+                self.horizon_darkening,
+                self.horizon_gradient,
+                self.circumsolar_intensity,
+                self.circumsolar_width,
+                self.backscatter,
+            ]
+        )
+
+    def relative(
+        self, theta: Float[ArrayLike, "*direction"], gamma: Float[ArrayLike, "*direction"]
+    ) -> Float[Array, "*direction"]:
+        """F(theta, gamma), the arguments, range and source of `perez_distribution`."""
+        return perez_distribution(self.coefficients, theta, gamma)
+
+    def ratio(
+        self,
+        theta: Float[ArrayLike, "*direction"],
+        gamma: Float[ArrayLike, "*direction"],
+        theta_sun: Float[ArrayLike, ""],
+    ) -> Float[Array, "*direction"]:
+        """Sky light in units of that of the zenith, F(theta, gamma) / F(0, theta_sun).
+
+        **Arguments:** `theta` view zenith angle, `gamma` angle from the sun, `[direction]`,
+        `theta_sun` the sun's zenith angle, radians.
+        **Returns:** dimensionless, `[direction]`; 1 at the zenith.
+        **Valid:** coefficients whose zenith F(0, theta_sun) is positive; nearer to 0 than 1e-6 it
+        is taken as 1e-6 with its sign, so that the result is finite, if large.
+        **Source:** Preetham 1999 eq. 4.
+        """
+        zenith = self.relative(jnp.zeros_like(theta_sun), theta_sun)
+        smallest = jnp.where(zenith < 0.0, -_SMALLEST_ZENITH, _SMALLEST_ZENITH)
+        vanishing = jnp.abs(zenith) < _SMALLEST_ZENITH
+        return self.relative(theta, gamma) / jnp.where(vanishing, smallest, zenith)

@@ -1,0 +1,144 @@
+"""The analytic daylight of Preetham, Shirley and Smits 1999, for any set of its coefficients."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Float
+
+from ..numerics.tables import read_table
+from .perez import Perez
+
+
+_LARGEST_CHI = 1.5  # rad; the published angle stays below 4 pi / 9 = 1.396 for all turbidities > 0
+
+
+class Preetham(eqx.Module):
+    """Luminance and chromaticity of a clear sky by turbidity and the sun's zenith angle.
+
+    `distribution` `[Y x y, A B C D E, slope constant]`: Perez coefficients, linear in turbidity.
+    `zenith_luminance` `[tangent offset angle, slope constant]`, each linear in turbidity, the first
+    two in kcd m^-2. `zenith_chromaticity` `[x y, T^2 T 1, cube square linear constant]` in the
+    sun's zenith angle in radians. `lowest_turbidity` is where `check_range` raises, and
+    `fitted_turbidity` the range beyond which `valid` is False: they belong to the coefficients, so
+    a refit brings its own.
+
+    **Source:** Preetham 1999 A.2. The fit there is to simulations of turbidity 2 to 6.
+    """
+
+    distribution: Float[Array, "3 5 2"]
+    zenith_luminance: Float[Array, "3 2"]
+    zenith_chromaticity: Float[Array, "2 3 4"]
+    lowest_turbidity: float = eqx.field(static=True, default=1.7)
+    fitted_turbidity: tuple[float, float] = eqx.field(static=True, default=(2.0, 10.0))
+
+    @classmethod
+    def published(cls) -> "Preetham":
+        """The coefficients that the paper prints (A.2), rounded as it prints them."""
+        perez = read_table("preetham_perez_coefficients.csv")
+        zenith = read_table("preetham_zenith_luminance.csv")
+        chromaticity = read_table("preetham_zenith_chromaticity.csv")
+        powers = ("cubic", "square", "linear", "constant")
+        distribution = [[perez[f"{name}_{c}"] for c in ("slope", "constant")] for name in "Yxy"]
+        polynomial = [[chromaticity[f"{name}_{power}"] for power in powers] for name in "xy"]
+        return cls(
+            jnp.asarray(np.moveaxis(np.array(distribution), 1, 2)),
+            jnp.asarray(np.stack([zenith["slope"], zenith["constant"]], axis=1)),
+            jnp.asarray(np.moveaxis(np.array(polynomial), 1, 2)),
+        )
+
+    def perez(self, turbidity: Float[ArrayLike, ""]) -> tuple[Perez, Perez, Perez]:
+        """The distributions of luminance Y and of chromaticity x and y.
+
+        **Arguments:** `turbidity`, dimensionless. **Returns:** three `Perez`, for Y, x, y.
+        **Valid, source:** as the class.
+        """
+        coefficients = self.distribution[..., 0] * turbidity + self.distribution[..., 1]
+        luminance, x, y = (Perez.from_coefficients(row) for row in coefficients)
+        return luminance, x, y
+
+    def zenith(
+        self, turbidity: Float[ArrayLike, ""], theta_sun: Float[ArrayLike, ""]
+    ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
+        r"""Luminance and chromaticity of the zenith.
+
+        $Y_z = 1000 [(4.0453 T - 4.9710) \tan\chi - 0.2155 T + 2.4192]$,
+        $\chi = (4/9 - T/120)(\pi - 2\theta_s)$; x and y: cubics in $\theta_s$, squares in T.
+
+        **Arguments:** `turbidity`; `theta_sun`, the sun's zenith angle in radians.
+        **Returns:** Y_z in cd m^-2 (the paper's formula is in kcd m^-2), x_z, y_z.
+        **Valid:** `valid`; outside, the formula goes on and is finite, with chi kept within +-1.5,
+        but Y_z turns negative (sun well below the horizon, or low at T > 11.2).
+        **Source:** Preetham 1999 A.2.
+        """
+        slope, constant = self.zenith_luminance[:, 0], self.zenith_luminance[:, 1]
+        tangent, offset, angle = slope * turbidity + constant
+        sun = jnp.asarray(theta_sun)
+        chi = jnp.clip(angle * (jnp.pi - 2.0 * sun), -_LARGEST_CHI, _LARGEST_CHI)
+        cubic, square, linear, constant = jnp.moveaxis(self.zenith_chromaticity, -1, 0)
+        of_sun = ((cubic * sun + square) * sun + linear) * sun + constant
+        x, y = (of_sun[:, 0] * turbidity + of_sun[:, 1]) * turbidity + of_sun[:, 2]
+        return 1000.0 * (tangent * jnp.tan(chi) + offset), x, y
+
+    def luminance_chromaticity(
+        self,
+        turbidity: Float[ArrayLike, ""],
+        theta_sun: Float[ArrayLike, ""],
+        theta: Float[ArrayLike, "*direction"],
+        gamma: Float[ArrayLike, "*direction"],
+    ) -> tuple[Float[Array, "*direction"], Float[Array, "*direction"], Float[Array, "*direction"]]:
+        """Luminance and chromaticity of the sky in the given directions.
+
+        Y = Y_z F_Y(theta, gamma) / F_Y(0, theta_sun), and so for x and y.
+
+        **Arguments:** `turbidity`; `theta_sun` sun zenith angle; `theta` view zenith angle and
+        `gamma` angle from the sun, `[direction]`; radians.
+        **Returns:** Y in cd m^-2, x, y, each `[direction]`.
+        **Valid:** `valid`; nothing is raised here. Outside all is finite and worthless: with the
+        published numbers Y has a pole at turbidity 1.643 and most of the sky is negative below.
+        Directions below the horizon get the horizon's value of F at their gamma.
+        **Source:** Preetham 1999 eq. 4, A.2.
+        """
+        zenith = self.zenith(turbidity, theta_sun)
+        shape = self.perez(turbidity)
+        luminance, x, y = (
+            value * perez.ratio(theta, gamma, theta_sun) for value, perez in zip(zenith, shape, strict=True)
+        )
+        return luminance, x, y
+
+    def check_range(self, turbidity, sun_zenith) -> None:
+        """Raises `ValueError` where the model has no answer; for concrete values, outside jit.
+
+        **Arguments:** `turbidity`; `sun_zenith` radians; numbers or arrays.
+        **Valid:** turbidity >= `lowest_turbidity` and the sun at or above the horizon. Beyond
+        `fitted_turbidity` the model extrapolates: no error here, but `valid` says False.
+        """
+        low = np.atleast_1d(np.asarray(turbidity, dtype=np.float64))
+        bad = ~(np.isfinite(low) & (low >= self.lowest_turbidity))
+        if bad.any():
+            raise ValueError(
+                f"`turbidity` must be at least {self.lowest_turbidity:g}, got {low[bad][0]:g}: the "
+                "zenith's share of the luminance vanishes (published coefficients: at 1.643), so "
+                "that the sky is singular there and negative below"
+            )
+        sun = np.atleast_1d(np.asarray(sun_zenith, dtype=np.float64))
+        # float32 pi/2 is above pi/2
+        bad = ~((sun >= 0.0) & (sun <= math.pi / 2 + 1e-6))
+        if bad.any():
+            raise ValueError(
+                f"`sun_zenith` must be between 0 and pi/2, sun above the horizon, got {sun[bad][0]:g} rad"
+            )
+
+    def valid(self, turbidity: Float[ArrayLike, ""], sun_zenith: Float[ArrayLike, ""]) -> Bool[Array, ""]:
+        """Whether the model is within its range; a flag for batches, to be mapped with `vmap`.
+
+        **Arguments:** `turbidity`; `sun_zenith` radians.
+        **Returns:** True where turbidity is within `fitted_turbidity` (published: 2 to 10), the sun
+        is not below the horizon and the zenith luminance is positive. NaN gives False.
+        """
+        low, high = self.fitted_turbidity
+        turbidity, sun = jnp.asarray(turbidity), jnp.asarray(sun_zenith)
+        luminance, _, _ = self.zenith(turbidity, sun)
+        fitted = (turbidity >= low) & (turbidity <= high)
+        return fitted & (sun >= 0.0) & (sun <= jnp.pi / 2) & (luminance > 0.0)
