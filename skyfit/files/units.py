@@ -1,0 +1,89 @@
+"""Units as files spell them, and the factor to the units used inside."""
+
+import re
+
+
+RADIANCE = "W m-2 sr-1 nm-1"
+
+_SPELLINGS = {
+    "µ": "u", "μ": "u", "Å": "angstrom", "⁻": "-", "¹": "1", "²": "2", "³": "3",
+    "·": " ", "⋅": " ", "−": "-", "**": "^", "*": " ", "[": "(", "]": ")",
+}
+_POWER = {"W": 1.0, "mW": 1e-3, "uW": 1e-6, "nW": 1e-9, "kW": 1e3, "watt": 1.0, "watts": 1.0}
+_LENGTH = {
+    "m": 1.0, "meter": 1.0, "metre": 1.0, "cm": 1e-2, "mm": 1e-3,
+    "um": 1e-6, "micron": 1e-6, "micrometer": 1e-6, "micrometre": 1e-6,
+    "nm": 1e-9, "nanometer": 1e-9, "nanometre": 1e-9, "angstrom": 1e-10, "Angstrom": 1e-10,
+}
+_ANGLE = ("sr", "steradian", "steradians", "ster")
+
+
+def radiance_factor(units: str) -> float:
+    """The factor that turns a spectral radiance in `units` into W m^-2 sr^-1 nm^-1.
+
+    **Arguments** `units`: as in a file, such as "W m-2 sr-1 nm-1", "mW/(m^2 sr nm)".
+
+    **Returns** the factor, 1.0 for W m^-2 sr^-1 nm^-1.
+
+    **Valid** power per area, solid angle and wavelength; anything else is a `ValueError`.
+    """
+    text = units
+    for old, new in _SPELLINGS.items():
+        text = text.replace(old, new)
+    # "W.m-2.sr-1": a point between letters or digits is a product.
+    text = re.sub(r"(?<=\w)\.(?=[A-Za-z])", " ", text)
+    scale, power, length, solid = 1.0, 0, 0, 0
+    for name, exponent in _factors(text, units):
+        singular = name[:-1] if name.endswith("s") and name[:-1] in _LENGTH else name
+        if name in _POWER:
+            scale, power = scale * _POWER[name] ** exponent, power + exponent
+        elif singular in _LENGTH:
+            scale, length = scale * _LENGTH[singular] ** exponent, length + exponent
+        elif name in _ANGLE:
+            solid += exponent
+        else:
+            raise ValueError(f"expected units {RADIANCE}, found {units!r}")
+    if (power, length, solid) != (1, -3, -1):
+        raise ValueError(f"expected units {RADIANCE}, found {units!r}")
+    factor = scale / 1e9
+    return 1.0 if abs(factor - 1.0) < 1e-12 else factor
+
+
+def _factors(text, units):
+    """(name, exponent) of a product; a slash divides by what follows, or by its bracket."""
+    factors, sign, in_bracket, place = [], 1, False, 0
+    text = text.strip()
+    while place < len(text):
+        letter = text[place]
+        if letter.isspace():
+            place += 1
+        elif letter == "/":
+            sign, place = -1, place + 1
+        elif letter == "(" and not in_bracket:
+            in_bracket, place = True, place + 1
+        elif letter == ")" and in_bracket:
+            in_bracket, sign, place = False, 1, place + 1
+        else:
+            match = re.compile(r"([A-Za-z]+)\s*\^?\s*([+-]?\d+)?").match(text, place)
+            if match is None:
+                raise ValueError(f"expected units {RADIANCE}, found {units!r}")
+            factors.append((match[1], sign * int(match[2] or 1)))
+            place = match.end()
+            if not in_bracket:
+                sign = 1
+    return factors
+
+
+def is_radian(units: str) -> bool | None:
+    """Whether `units` of an angle are radians (True), degrees (False) or something else (None)."""
+    text = units.strip().lower()
+    if text in ("rad", "radian", "radians"):
+        return True
+    if text == "" or text == "°" or text.startswith("deg"):
+        return False
+    return None
+
+
+def is_nanometre(units: str) -> bool:
+    """Whether `units` of a wavelength are nanometres."""
+    return units.strip().lower() in ("nm", "nanometer", "nanometers", "nanometre", "nanometres")
