@@ -16,7 +16,7 @@ from ..numerics import (
     exp_mean,
     gauss_legendre,
     phi1,
-    phi2,
+    phi_functions,
 )
 from ..scene import Scene
 from .optical_path import layer_airmass, slant_column, sunlit
@@ -208,8 +208,8 @@ def _solve(solver: OrdersOfScattering, layers: _Layers) -> _Field:
     mu = jnp.asarray(cosine, dtype)[None, :, None]
     slant = layers.depth[:, None, :] / mu
     decay = jnp.exp(-slant)[:, None]
-    entry = (slant * (phi1(slant) - phi2(slant)))[:, None]
-    leave = (slant * phi2(slant))[:, None]
+    first, second = phi_functions(slant)
+    entry, leave = (slant * (first - second))[:, None], (slant * second)[:, None]
     lambert = 1.0 / np.pi
     flux_weight = jnp.asarray(2.0 * np.pi * weight * cosine, dtype)
     first_mode = jnp.asarray(np.eye(modes)[0], dtype)[:, None, None]
@@ -308,7 +308,7 @@ def _multiple(
     def source(moments):
         return jnp.einsum("lmd,lmkw->dkw", basis, layers.moments[:, None] * moments)
 
-    first, second = phi1(slant), phi2(slant)
+    first, second = phi_functions(slant)
     per_layer = (first - second) * source(field.moments[:, :, :-1]) + second * source(
         field.moments[:, :, 1:]
     )
