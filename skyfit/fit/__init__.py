@@ -1,3 +1,8 @@
-from .inversion import DEFAULT_FREE as DEFAULT_FREE, invert as invert, simulate as simulate
+from .inversion import (
+    DEFAULT_FREE as DEFAULT_FREE,
+    invert as invert,
+    predict as predict,
+    simulate as simulate,
+)
 from .parameters import PARAMETERS as PARAMETERS, SkyModel as SkyModel, start_model as start_model
-from .result import Fit as Fit, time_names as time_names
+from .result import Fit as Fit, Fitted as Fitted, time_names as time_names

@@ -13,7 +13,7 @@ from ..scene import as_float, Directions, Scene, Sky
 from ..transport import AbstractSolver, OrdersOfScattering
 from .line_shape import estimate_fwhm
 from .parameters import check_free, PARAMETERS, partition, SkyModel, start_model, values_of, with_values
-from .result import Fit
+from .result import Fit, Fitted
 from .solve import covariance, least_squares, result_name
 
 
@@ -100,6 +100,30 @@ def invert(
         sky=sky, solver=solver, free=free, used=used, start=start, fwhm_nm=float(fwhm_nm), notes=tuple(notes),
         fixed=kept, **arrays, **{name: tuple(columns[name]) for name in lists},
     )  # fmt: skip
+
+
+def predict(fitted: Fitted, sky: Sky) -> np.ndarray:
+    """The fitted skies at the times, directions and wavelengths of another sky.
+
+    **Arguments:** `fitted` (`Fit.fitted`, or what `skyfit.load` gives); `sky`, whose radiance is not used.
+    **Returns:** radiance `[time, direction, wavelength]`, W m^-2 sr^-1 nm^-1, NaN beyond 300-1100 nm.
+    **Errors:** `ValueError` for a time of `sky` that was not fitted; one sky without a time matches one fit.
+    """
+    forward = _Forward(sky, fitted.solver, fitted.fwhm_nm)
+    order = [_matching(fitted.time, sky.time, t) for t in range(len(sky.time))]
+    return np.stack([forward.radiance(t, fitted.models[i]) for t, i in enumerate(order)])
+
+
+def _matching(fitted_time: np.ndarray, time: np.ndarray, index: int) -> int:
+    wanted = time[index]
+    if len(fitted_time) == 1 and len(time) == 1 and (np.isnat(wanted) or np.isnat(fitted_time[0])):
+        return 0
+    near = np.flatnonzero(np.abs(fitted_time - wanted) <= np.timedelta64(1, "s"))
+    if near.size == 0:
+        raise ValueError(
+            f"`sky` has the time {wanted}, which was not fitted; fitted: {', '.join(map(str, fitted_time))}"
+        )
+    return int(near[0])
 
 
 _COLUMNS = (

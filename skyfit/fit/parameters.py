@@ -186,7 +186,7 @@ def with_values(fixed: SkyModel, names: tuple[str, ...], values) -> SkyModel:
 
     **Arguments:** `fixed`, a whole model or the fixed half of `partition`; `values`, scalars or one array.
     """
-    leaves = [PARAMETERS[n].to_leaf(values[i]) for i, n in enumerate(names)]
+    leaves = [as_float(PARAMETERS[n].to_leaf(values[i])) for i, n in enumerate(names)]
     return eqx.tree_at(
         lambda m: [PARAMETERS[n].leaf(m) for n in names], fixed, leaves, is_leaf=lambda x: x is None
     )

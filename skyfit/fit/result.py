@@ -6,7 +6,20 @@ import numpy as np
 
 from ..scene import Sky
 from ..transport import AbstractSolver
-from .parameters import PARAMETERS, SkyModel
+from .parameters import PARAMETERS, SkyModel, with_values
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """The fitted skies alone, all that a prediction needs: one model per time, solver and line shape.
+
+    `time` `[time]`, UTC, NaT where unknown; `models`, one a time; `fwhm_nm` NaN for no line shape.
+    """
+
+    time: np.ndarray
+    models: tuple[SkyModel, ...]
+    solver: AbstractSolver
+    fwhm_nm: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +57,12 @@ class Fit:
     def residual(self) -> np.ndarray:
         """Model minus measurement, W m^-2 sr^-1 nm^-1, `[time, direction, wavelength]`."""
         return self.model - self.sky.radiance
+
+    @property
+    def fitted(self) -> Fitted:
+        """The fitted skies, for `predict`."""
+        models = tuple(with_values(self.start, self.free, row) for row in self.values)
+        return Fitted(self.sky.time, models, self.solver, self.fwhm_nm)
 
     @property
     def correlation(self) -> np.ndarray:
