@@ -14,7 +14,7 @@ from ..transport import AbstractSolver, OrdersOfScattering
 from .line_shape import estimate_fwhm
 from .parameters import check_free, PARAMETERS, partition, SkyModel, start_model, values_of, with_values
 from .result import Fit, Fitted
-from .solve import covariance, least_squares, result_name
+from .solve import covariance, least_squares, LOGISTIC_LIMIT, result_name
 
 
 # what a sky scan determines, and the pointing that it needs
@@ -191,7 +191,8 @@ def _solve(solver, free, fixed, first, scene, measured, weight, max_steps):
         model = with_values(fixed, free, values)
         return ((simulate(solver, model, scene) - measured) * weight).reshape(-1)
 
-    solution = least_squares(residual, bound, first, (fixed, scene, measured, weight), max_steps)
+    limit = jnp.full_like(first, LOGISTIC_LIMIT)
+    solution = least_squares(residual, bound, first, (fixed, scene, measured, weight), limit, max_steps)
     best = solution.value
     scale = jnp.stack(
         [best[i] if PARAMETERS[n].log else as_float(PARAMETERS[n].spread(1.0)) for i, n in enumerate(free)]

@@ -10,36 +10,52 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int, PyTree
 
 
+# logistic transforms of bounded parameters are flat beyond this: 3e-4 of the range is left to the bound
+LOGISTIC_LIMIT = 8.0
+
+
 class _MarquardtState(eqx.Module):
+    point: Float[Array, " parameter"]
     triangle: Float[Array, "parameter parameter"]
     projected: Float[Array, " parameter"]
 
 
 class MarquardtDescent(optx.AbstractDescent):
-    r"""The step that solves $(J^T J + \lambda\, \mathrm{diag}(J^T J))\, \delta = -J^T r$.
+    r"""The step that solves $(J^T J + \lambda\, \mathrm{diag}(J^T J))\, \delta = -J^T r$ within a box.
 
     Damping in proportion to each column of the Jacobian makes the path independent of the parameters' units;
-    optimistix' own damping is $\lambda I$. The QR of J is made once per accepted point.
+    optimistix' own damping is $\lambda I$. Parameters that stand at the edge of the box |u| <= `limit` and would
+    leave it are held there while the others move. The QR of J is made once per accepted point.
     **Source:** Marquardt 1963, J. SIAM 11, 431; More 1978, eq. 3.3.
     """
 
+    limit: Float[Array, " parameter"]
     first_damping: float = 0.01
 
     def init(self, y, f_info_struct):
-        return _MarquardtState(jnp.zeros((y.size, y.size), y.dtype), jnp.zeros_like(y))
+        return _MarquardtState(y, jnp.zeros((y.size, y.size), y.dtype), jnp.zeros_like(y))
 
     def query(self, y, f_info, state):
         orthogonal, triangle = jnp.linalg.qr(f_info.jac.as_matrix())
-        return _MarquardtState(triangle, orthogonal.T @ f_info.residual)
+        return _MarquardtState(y, triangle, orthogonal.T @ f_info.residual)
 
     def step(self, step_size, state):
-        column = jnp.linalg.norm(state.triangle, axis=0)
-        # a parameter without any influence stays where it is
-        column = jnp.where(column > 0.0, column, 1.0)
-        damping = jnp.diag(jnp.sqrt(self.first_damping / step_size) * column)
-        orthogonal, triangle = jnp.linalg.qr(jnp.concatenate([state.triangle, damping]))
-        right = orthogonal[: state.projected.size].T @ state.projected
-        return -jax.scipy.linalg.solve_triangular(triangle, right), optx.RESULTS.successful
+        damping = jnp.sqrt(self.first_damping / step_size)
+
+        def damped(held):
+            free = jnp.where(held[None], 0.0, state.triangle)
+            column = jnp.linalg.norm(free, axis=0)
+            # a parameter without any influence stays where it is
+            column = jnp.where(column > 0.0, damping * column, 1.0)
+            orthogonal, triangle = jnp.linalg.qr(jnp.concatenate([free, jnp.diag(column)]))
+            right = orthogonal[: state.projected.size].T @ state.projected
+            return -jax.scipy.linalg.solve_triangular(triangle, right)
+
+        everything = damped(jnp.zeros(state.point.shape, bool))
+        at_edge = jnp.abs(state.point) >= self.limit
+        held = at_edge & (jnp.sign(everything) == jnp.sign(state.point))
+        moved = jnp.clip(state.point + damped(held), -self.limit, self.limit)
+        return moved - state.point, optx.RESULTS.successful
 
 
 class LevenbergMarquardt(optx.AbstractGaussNewton):
@@ -47,8 +63,8 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
 
     rtol: float
     atol: float
+    descent: MarquardtDescent
     norm: Callable = optx.max_norm
-    descent: MarquardtDescent = MarquardtDescent()
     search: optx.ClassicalTrustRegion = optx.ClassicalTrustRegion(high_cutoff=0.75, low_cutoff=0.01)
     verbose: Callable = lambda **_: None
 
@@ -66,24 +82,20 @@ class Solution(NamedTuple):
     result: Any
 
 
-# pulls the unbounded numbers of undetermined parameters gently to the middle, where they stay finite;
-# 5 away, near a bound, it adds 0.001 to a cost that is about half the number of samples
-_PULL = 0.01
-
-
 def least_squares(
     residual: Callable,
     bound: Callable,
     start: Float[Array, " parameter"],
     arguments: PyTree,
+    limit: Float[Array, " parameter"],
     max_steps: int = 100,
     tolerance: float = 1e-3,
 ) -> Solution:
     r"""The minimum of $\frac12 \sum r_i^2$ within bounds by Levenberg-Marquardt on optimistix' loop.
 
     **Arguments:** `residual(value, arguments)`, one array, whitened (divided by sigma); `bound(free)` maps
-    unconstrained numbers to values; `start`, unconstrained; `tolerance`, relative and absolute, on the
-    unconstrained numbers and the residual.
+    unconstrained numbers to values; `start`, unconstrained; `limit`, how far from 0 each may go
+    (`LOGISTIC_LIMIT` or inf); `tolerance`, relative and absolute, on the unconstrained numbers and the residual.
     **Returns:** `Solution`; nothing is raised, `result` says how it ended (`result_name`).
     **Source:** `LevenbergMarquardt`, Jacobian in forward mode.
     """
@@ -94,9 +106,9 @@ def least_squares(
         fixed = jax.lax.stop_gradient(value)
         jacobian, result = jax.jacfwd(lambda v: (residual(v, arguments),) * 2, has_aux=True)(fixed)
         change = jax.lax.stop_gradient(jacobian) @ (value - fixed)
-        return jnp.concatenate([result + change, _PULL * free]), (result, jacobian)
+        return result + change, (result, jacobian)
 
-    solver = LevenbergMarquardt(rtol=tolerance, atol=tolerance)
+    solver = LevenbergMarquardt(tolerance, tolerance, MarquardtDescent(limit))
     solution = optx.least_squares(
         linearised, solver, start, arguments, has_aux=True, max_steps=max_steps, throw=False
     )
