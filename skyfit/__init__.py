@@ -1,3 +1,29 @@
-from .atmosphere import Aerosol as Aerosol, Atmosphere as Atmosphere
+"""A differentiable daylight sky: simulate it, fit it, refit Preetham's model."""
+
+from .atmosphere import (
+    Aerosol as Aerosol,
+    Atmosphere as Atmosphere,
+    CornetteShanks as CornetteShanks,
+    Exponential as Exponential,
+    Ground as Ground,
+    HenyeyGreenstein as HenyeyGreenstein,
+    Layered as Layered,
+    Ozone as Ozone,
+    OzoneLayer as OzoneLayer,
+    Prescribed as Prescribed,
+    Rayleigh as Rayleigh,
+    RayleighPhase as RayleighPhase,
+    Tabulated as Tabulated,
+    TwoTermHenyeyGreenstein as TwoTermHenyeyGreenstein,
+)
+from .draw import plot as plot
+from .files import load as load, read as read, save as save, write_sky as write_sky
+from .fit import Fit as Fit, invert as invert, PARAMETERS as PARAMETERS, predict as predict, refit as refit
+from .light import srgb as srgb, xyY as xyY, xyz as xyz
 from .scene import Directions as Directions, hemisphere as hemisphere, Scene as Scene, Sky as Sky
-from .transport import OrdersOfScattering as OrdersOfScattering, SingleScattering as SingleScattering
+from .sky import Perez as Perez, Preetham as Preetham
+from .transport import (
+    Fluxes as Fluxes,
+    OrdersOfScattering as OrdersOfScattering,
+    SingleScattering as SingleScattering,
+)

@@ -3,6 +3,14 @@ from .inversion import (
     invert as invert,
     predict as predict,
     simulate as simulate,
+    station_pressure as station_pressure,
 )
-from .parameters import PARAMETERS as PARAMETERS, SkyModel as SkyModel, start_model as start_model
+from .parameters import (
+    PARAMETERS as PARAMETERS,
+    SkyModel as SkyModel,
+    start_model as start_model,
+    values_of as values_of,
+    with_values as with_values,
+)
+from .refit import model_xyz as model_xyz, preetham_atmosphere as preetham_atmosphere, refit as refit, Refit as Refit
 from .result import Fit as Fit, Fitted as Fitted, time_names as time_names

@@ -55,8 +55,11 @@ def invert(
     free = tuple(free)
     solver = OrdersOfScattering.normal() if solver is None else solver
     notes = list(sky.notes)
+    pressure, assumed = station_pressure(sky)
     if start is None:
-        start = start_model(free, _pressure(sky, notes))
+        start = start_model(free, pressure)
+    if assumed:
+        notes.append(assumed)
     check_free(free, start)
     if fwhm_nm is None:
         fwhm_nm = _line_shape(sky, notes)
@@ -238,13 +241,13 @@ def _in_words(free, triangle, reduced: float, determined) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def _pressure(sky: Sky, notes: list) -> float:
+def station_pressure(sky: Sky) -> tuple[float, str]:
+    """The pressure at the station, Pa, by the file or by its altitude, and a note where it is assumed."""
     if np.isfinite(sky.pressure_pa):
-        return sky.pressure_pa
+        return sky.pressure_pa, ""
     if np.isfinite(sky.altitude_m):
-        return float(pressure_at_altitude(sky.altitude_m))
-    notes.append("no pressure or altitude in the file: Rayleigh depth of sea level")
-    return SEA_LEVEL_PRESSURE
+        return float(pressure_at_altitude(sky.altitude_m)), ""
+    return SEA_LEVEL_PRESSURE, "no pressure or altitude in the file: Rayleigh depth of sea level"
 
 
 def _line_shape(sky: Sky, notes: list) -> float:

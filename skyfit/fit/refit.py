@@ -2,11 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from ..atmosphere import Atmosphere, Tabulated
 from ..light import xyz
@@ -96,18 +98,26 @@ def refit(
     gamma = angle_between(view.zenith[None], as_float(sun)[:, None], view.azimuth[None])
     weight = as_float((np.asarray(view.zenith) <= _FITTED_ZENITH).astype(float))
     published = Preetham.published()
+    forms = [_Form.of(quantity) for quantity in range(3)]
+    starts = as_float(_FIRST)
     best = jnp.stack(
-        [_fit_each(q, target[q], gamma, view.zenith, as_float(sun), weight) for q in range(len(_UNIT))]
+        [
+            _fit_each(form, starts[:, q], target[q], gamma, view.zenith, as_float(sun), weight)
+            for q, form in enumerate(forms)
+        ]
     )
     report(2, stages)
     refitted, results = published, {}
-    for quantity, name in enumerate("Yxy"):
-        start = _start(np.asarray(best[quantity]), haze, published, quantity)
-        arguments = (published, target[quantity], gamma, view.zenith, as_float(sun), as_float(haze), weight)
-        solution = _fit_joint(quantity, start, arguments)
-        refitted = _with_quantity(refitted, quantity, solution.value)
+    for q, (name, form) in enumerate(zip("Yxy", forms, strict=True)):
+        zenith = published.zenith_luminance if q == 0 else published.zenith_chromaticity[q - 1]
+        start = _start(form, np.asarray(best[q]), haze, zenith)
+        arguments = (
+            jnp.asarray(q), published, target[q], gamma, view.zenith, as_float(sun), as_float(haze), weight,
+        )  # fmt: skip
+        solution = _fit_joint(form, start, arguments)
+        refitted = _with_quantity(refitted, q, solution.value)
         results[name] = result_name(solution.result)
-        report(3 + quantity, stages)
+        report(3 + q, stages)
     models = {
         "published": _evaluate(published, view.zenith, gamma, as_float(sun), as_float(haze)),
         "refitted": _evaluate(refitted, view.zenith, gamma, as_float(sun), as_float(haze)),
@@ -152,39 +162,46 @@ def _luminance_chromaticity(tristimulus):
     return tristimulus[..., 1], tristimulus[..., 0] / total, tristimulus[..., 1] / total
 
 
-def _bounded(free, quantity: int):
-    low, high = as_float(_LOWER[quantity]), as_float(_UPPER[quantity])
-    return low + (high - low) * jax.nn.sigmoid(free)
+class _Form(NamedTuple):
+    """What distinguishes the fits of Y, x and y: the bounds of A-E and the unit of the residual."""
 
+    lower: Float[Array, " parameter"]
+    upper: Float[Array, " parameter"]
+    unit: Float[Array, ""]
 
-def _unbounded(value, quantity: int):
-    low, high = np.array(_LOWER[quantity]), np.array(_UPPER[quantity])
-    share = np.clip((np.asarray(value) - low) / (high - low), 0.01, 0.99)
-    return as_float(np.log(share / (1.0 - share)))
+    @classmethod
+    def of(cls, quantity: int) -> "_Form":
+        return cls(as_float(_LOWER[quantity]), as_float(_UPPER[quantity]), as_float(_UNIT[quantity]))
+
+    def bound(self, free):
+        return self.lower + (self.upper - self.lower) * jax.nn.sigmoid(free)
+
+    def unbound(self, value):
+        share = jnp.clip((as_float(value) - self.lower) / (self.upper - self.lower), 0.01, 0.99)
+        return jnp.log(share / (1.0 - share))
 
 
 @eqx.filter_jit
-def _fit_each(quantity: int, target, gamma, zenith, sun, weight):
-    """Five Perez parameters of one quantity for each sky, `[sky, 5]`, the better of two starts."""
+def _fit_each(form: _Form, starts, target, gamma, zenith, sun, weight):
+    """Five Perez parameters of one quantity for each sky, `[sky, 5]`, the best of several starts."""
 
     def one(case):
         values, angle, theta_sun, first = case
 
         def residual(coefficients, _):
             ratio = Perez.from_coefficients(coefficients).ratio(zenith, angle, theta_sun)
-            return weight * (values[-1] * ratio / values - 1.0) / _UNIT[quantity]
+            return weight * (values[-1] * ratio / values - 1.0) / form.unit
 
         limit = jnp.full_like(first, LOGISTIC_LIMIT)
-        solution = least_squares(residual, lambda f: _bounded(f, quantity), first, None, limit, 200)
+        solution = least_squares(residual, form.bound, first, None, limit, 200)
         return solution.value, jnp.sum(solution.residual**2)
 
-    starts = jnp.stack([_unbounded(first[quantity], quantity) for first in _FIRST])
     skies, count = sun.shape[0], starts.shape[0]
     cases = (
         jnp.tile(target, (count, 1)),
         jnp.tile(gamma, (count, 1)),
         jnp.tile(sun, count),
-        jnp.repeat(starts, skies, axis=0),
+        jnp.repeat(jax.vmap(form.unbound)(starts), skies, axis=0),
     )
     value, cost = jax.lax.map(one, cases)
     value, cost = value.reshape(count, skies, 5), cost.reshape(count, skies)
@@ -192,50 +209,50 @@ def _fit_each(quantity: int, target, gamma, zenith, sun, weight):
     return jnp.take_along_axis(value, chosen[None, :, None], axis=0)[0]
 
 
-def _start(best, turbidity, published: Preetham, quantity: int):
+def _start(form: _Form, best, turbidity, zenith):
     """The start of the joint fit: a line in turbidity through each parameter, published zenith values."""
     # the median over suns at each turbidity, so that a few wild skies do not tilt the line
     levels = np.unique(turbidity)
     middle = np.stack([np.median(best[turbidity == t], axis=0) for t in levels])
     lines = np.polyfit(levels, middle, 1)
-    ends = [_unbounded(np.polyval(lines, t), quantity) for t in (levels[0], levels[-1])]
-    zenith = published.zenith_luminance if quantity == 0 else published.zenith_chromaticity[quantity - 1]
+    ends = [form.unbound(np.polyval(lines, t)) for t in (levels[0], levels[-1])]
     return jnp.concatenate([*ends, jnp.ravel(zenith)])
 
 
-def _linear_coefficients(free, ends, quantity: int):
+def _linear_coefficients(form: _Form, free, ends):
     """Slope and constant of each Perez parameter, bounded at both ends of the turbidities, then the zenith."""
-    low, high = _bounded(free[:5], quantity), _bounded(free[5:10], quantity)
+    low, high = form.bound(free[:5]), form.bound(free[5:10])
     slope = (high - low) / (ends[1] - ends[0])
     distribution = jnp.stack([slope, low - slope * ends[0]], axis=1)
     return jnp.concatenate([distribution.ravel(), free[10:]])
 
 
-def _with_quantity(model: Preetham, quantity: int, coefficients) -> Preetham:
-    """The model with the ten distribution and all zenith coefficients of one quantity replaced."""
+def _with_quantity(model: Preetham, quantity, coefficients) -> Preetham:
+    """The model with the ten distribution and all zenith coefficients of Y (0), x (1) or y (2) replaced."""
     distribution = model.distribution.at[quantity].set(coefficients[:10].reshape(5, 2))
     model = eqx.tree_at(lambda m: m.distribution, model, distribution)
-    if quantity == 0:
-        return eqx.tree_at(lambda m: m.zenith_luminance, model, coefficients[10:].reshape(3, 2))
-    zenith = model.zenith_chromaticity.at[quantity - 1].set(coefficients[10:].reshape(3, 4))
-    return eqx.tree_at(lambda m: m.zenith_chromaticity, model, zenith)
+    zenith = coefficients[10:]
+    if zenith.size == model.zenith_luminance.size:
+        return eqx.tree_at(lambda m: m.zenith_luminance, model, zenith.reshape(3, 2))
+    chromaticity = model.zenith_chromaticity.at[quantity - 1].set(zenith.reshape(3, 4))
+    return eqx.tree_at(lambda m: m.zenith_chromaticity, model, chromaticity)
 
 
 @eqx.filter_jit
-def _fit_joint(quantity: int, start, arguments):
+def _fit_joint(form: _Form, start, arguments):
     """All coefficients of one quantity against all skies at once."""
 
     def residual(coefficients, arguments):
-        model, target, gamma, zenith, sun, turbidity, weight = arguments
+        quantity, model, target, gamma, zenith, sun, turbidity, weight = arguments
         model = _with_quantity(model, quantity, coefficients)
         value = _evaluate(model, zenith, gamma, sun, turbidity)[quantity]
-        return (weight[None] * (value / target - 1.0) / _UNIT[quantity]).ravel()
+        return (weight[None] * (value / target - 1.0) / form.unit).ravel()
 
-    turbidity = arguments[5]
+    turbidity = arguments[6]
     ends = jnp.min(turbidity), jnp.max(turbidity)
     limit = jnp.where(jnp.arange(start.size) < 10, LOGISTIC_LIMIT, jnp.inf).astype(start.dtype)
     return least_squares(
-        residual, lambda f: _linear_coefficients(f, ends, quantity), start, arguments, limit, 200
+        residual, lambda free: _linear_coefficients(form, free, ends), start, arguments, limit, 200
     )
 
 
