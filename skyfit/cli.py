@@ -10,6 +10,7 @@ from typing import Annotated
 import jax
 import numpy as np
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -193,7 +194,7 @@ def refit_command(
 
 def _print_refit(result: Refit) -> None:
     names = tuple(result.luminance_error)
-    table = Table(title="Median luminance error of each sky, %, view zenith to 80 degrees")
+    table = Table(title="Median luminance error of each sky, %, view zenith to 80 degrees", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for heading in ("sun zenith", "turbidity", *names):
         table.add_column(heading, justify="right")
     for i, sun in enumerate(np.degrees(result.sun_zenith)):
@@ -227,7 +228,7 @@ def _draw_refit(result: Refit, path: Path) -> None:
 def invert_command(
     sky: Annotated[Path, typer.Argument(help="NetCDF, CSV or a folder of ASD text exports")],
     out: OutFolder,
-    free: Annotated[str, typer.Option(help="parameters to fit, with commas")] = ",".join(DEFAULT_FREE),
+    free: Annotated[str, typer.Option(help=f"with commas, of: {', '.join(PARAMETERS)}")] = ",".join(DEFAULT_FREE),
     fix: Annotated[list[str] | None, typer.Option(help="name=value of a parameter that is known")] = None,
     latitude: Latitude = None,
     longitude: Longitude = None,
@@ -253,7 +254,8 @@ def invert_command(
     save(fit, out / "fit.nc")
     plot(fit, out / "fit.png")
     _print_fit(fit)
-    console.print(f"written: {', '.join(str(out / f'fit.{end}') for end in ('json', 'nc', 'png'))}", highlight=False)
+    written = ", ".join(str(out / f"fit.{end}") for end in ("json", "nc", "png"))
+    console.print(f"written: {written}", highlight=False)
 
 
 def _known(text: str) -> tuple[str, float]:
@@ -268,10 +270,11 @@ def _known(text: str) -> tuple[str, float]:
 
 
 def _print_fit(fit: Fit) -> None:
-    scans = Table(title=f"{fit.sky.source}: {len(fit.sky.time)} skies")
-    headings = ("time (UTC)", "sun zenith", "sun azimuth", "RMSE mW", "chi2", "steps", "result")
+    count = len(fit.sky.time)
+    scans = Table(title=f"{fit.sky.source}: {count} {'sky' if count == 1 else 'skies'}", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    headings = ("time (UTC)", "sun zenith", "azimuth", "RMSE mW", "chi2", "steps", "result")
     for heading in headings:
-        scans.add_column(heading, justify="right")
+        scans.add_column(heading, justify="right", no_wrap=True)
     for t, name in enumerate(time_names(fit.sky)):
         angles = (f"{np.degrees(angle[t]):.2f}" for angle in (fit.sky.sun_zenith, fit.sky.sun_azimuth))
         numbers = f"{1e3 * fit.rmse[t]:.2f}", f"{fit.reduced_chi_square[t]:.2f}", f"{fit.steps[t]}"
@@ -282,9 +285,9 @@ def _print_fit(fit: Fit) -> None:
         highlight=False,
     )
     for t, name in enumerate(time_names(fit.sky)):
-        values = Table(title=name, title_justify="left")
-        for heading, side in (("parameter", "left"), ("value", "right"), ("sigma", "right"), ("unit", "left"), ("", "left")):
-            values.add_column(heading, justify=side)
+        values = Table(title=name, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+        for heading in ("parameter", "value", "sigma", "unit", "remarks"):
+            values.add_column(heading, justify="right" if heading in ("value", "sigma") else "left")
         for p, parameter in enumerate(fit.free):
             flags = ["at bound"] * bool(fit.at_bound[t, p]) + ["not determined"] * (not fit.determined[t, p])
             values.add_row(
@@ -295,8 +298,8 @@ def _print_fit(fit: Fit) -> None:
         open_ends = fit.undetermined[t] or ("all of these are determined by the data",)
         for sentence in open_ends:
             console.print(f"  {sentence}", highlight=False)
-    held = ", ".join(f"{name} {value:.5g} {PARAMETERS[name].unit}".removesuffix(" 1") for name, value in fit.fixed.items())
-    console.print(f"held fixed: {held}", highlight=False)
+    held = (f"{name} {value:.5g} {PARAMETERS[name].unit}".removesuffix(" 1") for name, value in fit.fixed.items())
+    console.print(f"held fixed: {', '.join(held)}", highlight=False)
     for note in fit.notes:
         console.print(f"note: {note}", highlight=False)
     for reason, count in fit.sky.masked.items():

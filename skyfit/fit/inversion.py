@@ -213,24 +213,30 @@ def _describe(free, solved, count: int) -> dict:
     sigma = np.sqrt(np.diag(spread))
     limit = np.array([_DETERMINED_SHARE * PARAMETERS[n].spread(v) for n, v in zip(free, values, strict=True)])
     determined = np.isfinite(sigma) & (sigma < limit)
+    at_bound = np.array([PARAMETERS[n].at_bound(v) for n, v in zip(free, values, strict=True)])
     finite = bool(np.all(np.isfinite(values)) and np.isfinite(reduced))
     return {
         "values": values,
         "sigma": sigma,
         "covariance": spread,
-        "at_bound": np.array([PARAMETERS[n].at_bound(v) for n, v in zip(free, values, strict=True)]),
+        "at_bound": at_bound,
         "determined": determined,
         "reduced_chi_square": reduced,
         "steps": int(solution.steps),
         "result": result_name(solution.result) if finite else "failed",
-        "undetermined": _in_words(free, np.asarray(triangle, float), max(reduced, 1.0), determined),
+        "undetermined": _in_words(free, np.asarray(triangle, float), max(reduced, 1.0), determined, at_bound),
     }
 
 
-def _in_words(free, triangle, reduced: float, determined) -> tuple[str, ...]:
+def _in_words(free, triangle, reduced: float, determined, at_bound) -> tuple[str, ...]:
     """Sentences on what the data leave open, from the weak directions of the scaled Jacobian."""
     sentences = [
         f"{name} is not determined by these data" for name, yes in zip(free, determined, strict=True) if not yes
+    ]
+    sentences += [
+        f"{name} stands at its bound: the data would take it further, its sigma is only local"
+        for name, yes in zip(free, at_bound, strict=True)
+        if yes
     ]
     if np.all(np.isfinite(triangle)):
         _, singular, rows = np.linalg.svd(triangle)
