@@ -1,11 +1,13 @@
 """Columns along straight rays through a flat or a spherical atmosphere, normalised to the vertical column."""
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..atmosphere import AbstractProfile
-from ..numerics import gauss_legendre, safe_sqrt
+from ..numerics import gauss_legendre, hat_weights, safe_sqrt
 from .solver import Geometry
 
 
@@ -104,6 +106,51 @@ def layer_airmass(
         return jnp.sqrt(jnp.maximum(square, 1.0))
 
     return (2.0 * EARTH_RADIUS + upper + lower) / (from_tangent(upper) + from_tangent(lower))
+
+
+class StreamPath(NamedTuple):
+    """How streams of fixed local zenith angle cross the layers one way.
+
+    `airmass` `[layer, stream]`, length in a layer over its thickness; `turn` `[layer, stream, stream]`, weights
+    that interpolate the radiance where a ray enters the layer, at another local angle than it leaves it with;
+    None where the angle stays.
+    """
+
+    airmass: Float[Array, "layer stream"]
+    turn: Float[Array, "layer stream stream"] | None
+
+
+def stream_paths(
+    height: Float[Array, " level"], cosine: Float[Array, " stream"], geometry: Geometry
+) -> tuple[StreamPath, StreamPath]:
+    r"""Paths of downward and of upward streams through the layers between levels.
+
+    A straight ray keeps $r \sin\theta$: it comes down into a layer steeper than it leaves it, and goes up the
+    other way round. An upward ray that would have come from under the layer's tangent point enters horizontally.
+
+    **Arguments:** `height` of the levels, top to ground (m); `cosine` of the streams where they leave a layer,
+    increasing. **Returns:** down, up. **Source:** geometry; Klassen 1987, eq. 20 with the local elevation.
+    """
+    layers = height.shape[0] - 1
+    if geometry == "flat":
+        airmass = jnp.broadcast_to(1.0 / cosine[None], (layers, cosine.shape[0]))
+        return StreamPath(airmass, None), StreamPath(airmass, None)
+    upper, lower = EARTH_RADIUS + height[:-1, None], EARTH_RADIUS + height[1:, None]
+    thickness = upper - lower
+    rise = thickness * (upper + lower)
+    # distances from the point of the ray's line that is nearest to the Earth's centre
+    at_lower, at_upper = lower * cosine[None], upper * cosine[None]
+    above = jnp.sqrt(at_lower**2 + rise)
+    below = safe_sqrt(at_upper**2 - rise)
+
+    def turn(entering):
+        # radiance times cosine is linear in the cosine for thin and for thick layers alike
+        inside = jnp.clip(entering, cosine[0], cosine[-1])
+        return hat_weights(inside, cosine) * cosine[None, None] / inside[:, :, None]
+
+    down = StreamPath(rise / (above + at_lower) / thickness, turn(above / upper))
+    up = StreamPath((at_upper - below) / thickness, turn(below / lower))
+    return down, up
 
 
 def sunlit(

@@ -19,7 +19,7 @@ from ..numerics import (
     phi_functions,
 )
 from ..scene import Scene
-from .optical_path import layer_airmass, slant_column, sunlit
+from .optical_path import layer_airmass, slant_column, stream_paths, sunlit
 from .single import (
     attenuated_sources,
     phase_values,
@@ -36,7 +36,7 @@ _HEIGHT_TABLE = 512
 
 
 class OrdersOfScattering(AbstractSolver):
-    r"""All orders of scattering and a Lambertian ground, in flat layers, with exact single scattering.
+    r"""All orders of scattering and a Lambertian ground, with exact single scattering.
 
     Fourier modes in azimuth, Gauss streams in zenith angle, delta-M truncation of the phase function; the
     multiple-scattering source is turned into the exact view directions by its Legendre moments, and single
@@ -46,7 +46,8 @@ class OrdersOfScattering(AbstractSolver):
     `streams` per hemisphere; `modes` in azimuth; `levels` of the vertical grid, dense in haze; `orders`
     followed one by one; `nodes` of the single-scattering integral; `spectral_nodes`, wavelengths at which
     multiple scattering is solved (0, or an atmosphere that is not smooth in wavelength: all of the scene's);
-    `geometry` "spherical": beam and view paths curved, layers flat for the rest; or "flat".
+    `geometry` "spherical": curved paths for beam and view, and diffuse streams that change their local angle
+    from layer to layer, under a sun whose local zenith angle is the observer's for them; or "flat".
 
     **Valid:** sun zenith below 90 degrees flat, to about 85 spherical; view zenith to about 85.
     **Source:** Nakajima & Tanaka 1988, JQSRT 40, 51; Wiscombe 1977, J. Atmos. Sci. 34, 1408;
@@ -200,16 +201,14 @@ def _solve(solver: OrdersOfScattering, layers: _Layers) -> _Field:
     """Successive orders on the streams: moments of the radiance summed over all orders."""
     cosine, weight = gauss_legendre(solver.streams)
     count, modes, dtype = 2 * solver.streams, solver.modes, layers.depth.dtype
-    harmonics = np.asarray(_stream_harmonics(solver.streams, modes), dtype)
     parity = (-1.0) ** (np.arange(count)[:, None] + np.arange(modes)[None])
     parity = jnp.asarray(parity, dtype)[:, :, None, None]
-    to_moment = jnp.asarray(0.5 * weight * harmonics, dtype)
-    from_moment = jnp.asarray(harmonics, dtype)
-    mu = jnp.asarray(cosine, dtype)[None, :, None]
-    slant = layers.depth[:, None, :] / mu
-    decay = jnp.exp(-slant)[:, None]
-    first, second = phi_functions(slant)
-    entry, leave = (slant * (first - second))[:, None], (slant * second)[:, None]
+    mu = jnp.asarray(cosine, dtype)
+    from_moment = associated_legendre(mu, jnp.asarray(np.sqrt(1.0 - cosine**2), dtype), modes, count)
+    to_moment = jnp.asarray(0.5 * weight, dtype)[None, None] * from_moment
+    down_path, up_path = stream_paths(layers.height, mu, solver.geometry)
+    down_slant, down_decay, down_entry, down_leave = _layer_weights(layers.depth, down_path.airmass)
+    up_slant, up_decay, up_entry, up_leave = _layer_weights(layers.depth, up_path.airmass)
     lambert = 1.0 / np.pi
     flux_weight = jnp.asarray(2.0 * np.pi * weight * cosine, dtype)
     first_mode = jnp.asarray(np.eye(modes)[0], dtype)[:, None, None]
@@ -221,16 +220,18 @@ def _solve(solver: OrdersOfScattering, layers: _Layers) -> _Field:
         """Radiance at the levels from each layer's contribution, reflection by the ground included."""
 
         def step(radiance, layer):
-            fade, source = layer
+            fade, source, turn = layer
+            if turn is not None:
+                radiance = jnp.einsum("ij,mjw->miw", turn, radiance)
             radiance = radiance * fade + source
             return radiance, radiance
 
         dark = jnp.zeros_like(down_source[0])
-        at_ground, down = jax.lax.scan(step, dark, (decay, down_source))
+        at_ground, down = jax.lax.scan(step, dark, (down_decay, down_source, down_path.turn))
         flux = jnp.einsum("n,nw->w", flux_weight, at_ground[0])
         reflected = first_mode * (lambert * layers.ground_albedo * (flux + beam_flux))[None, None]
         start = reflected + dark
-        at_top, up = jax.lax.scan(step, start, (decay, up_source), reverse=True)
+        at_top, up = jax.lax.scan(step, start, (up_decay, up_source, up_path.turn), reverse=True)
         down = jnp.concatenate([dark[None], down])
         up = jnp.concatenate([up, start[None]])
         moments = jnp.einsum("lmn,kmnw->lmkw", to_moment, down) + parity * jnp.einsum(
@@ -242,8 +243,9 @@ def _solve(solver: OrdersOfScattering, layers: _Layers) -> _Field:
     mode_weight = jnp.asarray(np.where(np.arange(modes) == 0, 1.0, 2.0) / (4.0 * np.pi), dtype)
     beam_moments = (layers.sun_harmonics * mode_weight[None])[:, :, None, None] * layers.moments[:, None]
     sun_slant = layers.beam_depth[:, None, :]
-    into_down = (slant * exp_mean(sun_slant, slant) * layers.beam[:-1, None, :])[:, None]
-    into_up = (slant * phi1(sun_slant + slant) * layers.beam[:-1, None, :])[:, None]
+    beam = layers.beam[:-1, None, :]
+    into_down = (down_slant * exp_mean(sun_slant, down_slant) * beam)[:, None]
+    into_up = (up_slant * phi1(sun_slant + up_slant) * beam)[:, None]
     moments, flux, top = transport(
         to_streams(beam_moments) * into_down,
         to_streams(parity * beam_moments) * into_up,
@@ -254,8 +256,8 @@ def _solve(solver: OrdersOfScattering, layers: _Layers) -> _Field:
         moments, total, flux_total, top_total = carry
         above = layers.moments[:, None] * moments[:, :, :-1]
         below = layers.moments[:, None] * moments[:, :, 1:]
-        down_source = entry * to_streams(above) + leave * to_streams(below)
-        up_source = leave * to_streams(parity * above) + entry * to_streams(parity * below)
+        down_source = down_entry * to_streams(above) + down_leave * to_streams(below)
+        up_source = up_leave * to_streams(parity * above) + up_entry * to_streams(parity * below)
         new, flux, top = transport(down_source, up_source, jnp.zeros_like(layers.beam[-1]))
         ratio = jnp.sum(new[0, 0], axis=0) / jnp.maximum(jnp.sum(moments[0, 0], axis=0), 1e-30)
         carry = (new, total + new, flux_total + flux, top_total + top)
@@ -271,23 +273,14 @@ def _solve(solver: OrdersOfScattering, layers: _Layers) -> _Field:
     return _Field(total + closing, flux_total + tail * flux[-1], top_total + tail * top[-1])
 
 
-def _stream_harmonics(streams: int, modes: int) -> np.ndarray:
-    """Associated Legendre functions at the streams, `[moment, mode, stream]`, host-side."""
-    cosine, _ = gauss_legendre(streams)
-    sine = np.sqrt(1.0 - cosine**2)
-    count = 2 * streams
-    values = np.zeros((count, modes, streams))
-    corner = np.ones_like(cosine)
-    for m in range(min(modes, count)):
-        if m > 0:
-            corner = corner * np.sqrt((2 * m - 1) / (2 * m)) * sine
-        values[m, m] = corner
-        for n in range(m + 1, count):
-            below = values[n - 2, m] if n - 2 >= m else 0.0
-            values[n, m] = (
-                (2 * n - 1) * cosine * values[n - 1, m] - np.sqrt((n - 1) ** 2 - m**2) * below
-            ) / np.sqrt(n**2 - m**2)
-    return values
+def _layer_weights(depth, airmass):
+    """Slant depth of each layer for each stream, its transmittance and the weights of a linear source.
+
+    `[layer, stream, wavelength]`, with an axis for the modes in all but the first.
+    """
+    slant = airmass[:, :, None] * depth[:, None, :]
+    first, second = phi_functions(slant)
+    return slant, jnp.exp(-slant)[:, None], (slant * (first - second))[:, None], (slant * second)[:, None]
 
 
 def _multiple(
