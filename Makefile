@@ -1,0 +1,53 @@
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := help
+PYTHON ?= python3
+PIP := .venv/bin/python -m pip --quiet --disable-pip-version-check
+# two processes: most of a test's time is compilation, which uses one core
+PYTEST := .venv/bin/python -m pytest --numprocesses 2 --dist loadfile
+
+.PHONY: help install demo test test-slow lint lock clean
+
+help: ## this list
+	@sed -n 's/^\([a-z-]*\):.*## /\1	/p' Makefile | expand -t 12
+
+install: .venv/installed ## the locked versions and skyfit, editable, in .venv
+
+.venv/installed: requirements.lock pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "skyfit needs Python 3.11 or newer")'
+	$(PYTHON) -m venv .venv
+	$(PIP) install --requirement requirements.lock
+	$(PIP) install --no-deps --no-build-isolation --editable .
+	@touch $@
+
+demo: install ## the published sky refitted and the sample sky inverted, into demo/
+	.venv/bin/skyfit refit --out demo/refit
+	.venv/bin/skyfit invert data/skies/sample.nc --out demo/invert --free \
+	  aerosol_optical_depth,angstrom_exponent,single_scattering_albedo,asymmetry,ground_albedo,ozone
+
+test: install ## the default tests; SLOW=1 takes the slow ones too; ARGS= goes to pytest
+	$(PYTEST) $(if $(SLOW),-m '') $(ARGS)
+
+test-slow: ## all tests, the slow ones too
+	$(MAKE) test SLOW=1
+
+.venv/linters: .venv/installed
+	$(PIP) install --constraint requirements.lock --no-build-isolation --editable '.[dev]'
+	@touch $@
+
+lint: .venv/linters ## ruff and pyright
+	.venv/bin/ruff check
+	.venv/bin/ruff format --check
+	.venv/bin/pyright
+
+lock: ## requirements.lock anew: the newest versions that a clean environment takes
+	rm -rf .venv/lock
+	$(PYTHON) -m venv .venv/lock
+	.venv/lock/bin/python -m pip --quiet --disable-pip-version-check install '.[test]'
+	{ sed '/^[^#]/,$$d' requirements.lock; \
+	  .venv/lock/bin/python -m pip --disable-pip-version-check freeze --exclude skyfit \
+	  | grep -E '^[A-Za-z0-9._-]+=='; } > requirements.lock.new
+	mv requirements.lock.new requirements.lock
+	rm -rf .venv/lock
+
+clean: ## removes what the other targets made
+	rm -rf .venv demo dist build .pytest_cache .ruff_cache .hypothesis

@@ -1,0 +1,163 @@
+"""The accuracy figures that the README shows: against oracles, the sample sky's truth, peers on measured skies.
+
+    python experiments/accuracy.py [--shared ../shared] [--skip oracles,sample,measured,refit]
+
+Writes experiments/results/accuracy.json; parts whose inputs are absent keep their last figures and say so.
+`python experiments/readme_tables.py` puts the figures into README.md.
+"""
+
+import argparse
+import csv
+import importlib.metadata
+import json
+import pathlib
+import platform
+import statistics
+import subprocess
+import time
+
+import jax
+import numpy as np
+from oracle_check import compare
+
+import skyfit
+
+
+HERE = pathlib.Path(__file__).resolve().parent
+RESULT = HERE / "results" / "accuracy.json"
+FREE = (
+    "aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo", "asymmetry", "ground_albedo",
+    "ozone",
+)  # fmt: skip
+TRUTH = {
+    "aerosol_optical_depth": "aod550",
+    "angstrom_exponent": "angstrom_exponent",
+    "single_scattering_albedo": "aerosol_albedo",
+    "asymmetry": "asymmetry",
+    "ground_albedo": "ground_albedo",
+    "ozone": "ozone_du",
+}
+
+
+def oracles(shared: pathlib.Path) -> list[dict]:
+    """Errors of every preset against the reference radiances, with the time of one sky of 343 x 41."""
+    cases = []
+    for solver, preset, geometry, limit in (
+        ("single", "normal", "flat", 85.0),
+        ("single", "normal", "spherical", 80.0),
+        ("orders", "draft", "flat", 85.0),
+        ("orders", "normal", "flat", 85.0),
+        ("orders", "fine", "flat", 85.0),
+        ("orders", "draft", "spherical", 80.0),
+        ("orders", "normal", "spherical", 80.0),
+        ("orders", "fine", "spherical", 80.0),
+    ):
+        arguments = argparse.Namespace(
+            solver=solver, preset=preset, geometry=geometry, max_sun_zenith=limit, max_view_zenith=limit
+        )
+        kind = "pp" if geometry == "flat" else "sph"
+        files = [shared / "oracles" / f"oracle_{kind}_{name}.npz" for name in ("rayleigh", "aerosol")]
+        rows = [compare(path, arguments) for path in files]
+        cases.append(
+            {
+                "solver": solver,
+                "preset": preset,
+                "geometry": geometry,
+                "limit_deg": limit,
+                "max_relative_error": max(row["max_relative_error"] for row in rows),
+                "max_error_beyond_3_sigma": max(row["max_error_beyond_3_sigma"] for row in rows),
+                "median_relative_error": max(row["median_relative_error"] for row in rows),
+                "seconds_per_sky": seconds_per_sky(solver, preset, geometry),
+            }
+        )
+        print(cases[-1], flush=True)
+    return cases
+
+
+def seconds_per_sky(solver: str, preset: str, geometry: str) -> float:
+    """The median time of one sky of 343 directions and 41 wavelengths after compilation."""
+    kinds = {"orders": skyfit.OrdersOfScattering, "single": skyfit.SingleScattering}
+    model = getattr(kinds[solver], preset)(geometry)
+    scene = skyfit.Scene.from_degrees(60.0, skyfit.hemisphere(343), np.arange(380.0, 781.0, 10.0))
+    times = []
+    for repeat in range(8):
+        atmosphere = skyfit.Atmosphere.from_turbidity(2.0 + 0.1 * repeat)
+        start = time.perf_counter()
+        model.radiance(atmosphere, scene).block_until_ready()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times[1:])
+
+
+def sample() -> dict:
+    """The shipped sample sky, made by sasktran2, inverted: truth, value and sigma of each parameter."""
+    truth = json.loads((HERE.parent / "data" / "skies" / "sample_truth.json").read_text())["parameters"]
+    fit = skyfit.invert(skyfit.read(HERE.parent / "data" / "skies" / "sample.nc"), FREE)
+    parameters = {
+        name: {"truth": truth[TRUTH[name]]["value"], "value": float(fit.values[0, i]), "sigma": float(fit.sigma[0, i])}
+        for i, name in enumerate(FREE)
+    }
+    return {"parameters": parameters, "result": fit.result[0], "reduced_chi_square": float(fit.reduced_chi_square[0])}
+
+
+def measured(shared: pathlib.Path) -> dict:
+    """The measured scans fitted with the defaults, scored as the peers were: 360 + 11.75 k nm, k < 31."""
+    folder = shared / "measured" / "kider2014"
+    sky = skyfit.read(folder / "2013-05-27.nc")
+    fit = skyfit.invert(sky)
+    grid = 360.0 + 11.75 * np.arange(31)
+    scored = sky.select(grid)
+    model = np.apply_along_axis(lambda row: np.interp(grid, sky.wavelength_nm, row), -1, fit.model)
+    error = 1e3 * (model - scored.radiance)
+    scans = [float(np.sqrt(np.mean(e[u] ** 2))) for e, u in zip(error, scored.usable, strict=True)]
+    with (folder / "peer_rmse.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    peers = {}
+    for row in rows:
+        peers.setdefault(row["model"], []).append(float(row["rmse_mW_m2_sr_nm"]))
+    return {
+        "scans": scans,
+        "results": list(fit.result),
+        "all": float(np.sqrt(np.mean(error[scored.usable] ** 2))),
+        "peers": {name: float(np.sqrt(np.mean(np.square(values)))) for name, values in peers.items()},
+    }
+
+
+def coefficients() -> dict:
+    """Median luminance and chromaticity errors of the published, refitted and best five coefficients."""
+    result = skyfit.refit()
+    return {"overall": result.overall, "result": result.result}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--shared", type=pathlib.Path, default=HERE.parent.parent / "shared")
+    parser.add_argument("--skip", default="", help="parts to leave as they are, with commas")
+    arguments = parser.parse_args()
+    skip = set(arguments.skip.split(","))
+    record = json.loads(RESULT.read_text()) if RESULT.exists() else {}
+    if not arguments.shared.exists():
+        print(f"{arguments.shared} is absent: the oracles and the measured skies keep their last figures")
+        skip |= {"oracles", "measured"}
+    if "oracles" not in skip:
+        record["oracles"] = oracles(arguments.shared)
+    jax.config.update("jax_enable_x64", True)
+    jax.clear_caches()
+    parts = {"sample": sample, "measured": lambda: measured(arguments.shared), "refit": coefficients}
+    for name, make in parts.items():
+        if name not in skip:
+            record[name] = make()
+            print(name, record[name], flush=True)
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=HERE)
+    record["made_with"] = {
+        "commit": commit.stdout.strip(),
+        "dtype": "float32 for the oracles, float64 for the fits",
+        "python": platform.python_version(),
+        "machine": f"{platform.machine()}, 2 shared cores",
+        **{name: importlib.metadata.version(name) for name in ("jax", "optimistix", "equinox", "numpy")},
+    }
+    RESULT.parent.mkdir(exist_ok=True)
+    RESULT.write_text(json.dumps(record, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

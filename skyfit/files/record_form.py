@@ -1,0 +1,149 @@
+r"""The form of a fit's JSON record, and the check that a file has it.
+
+`skyfit.save(fit, "*.json")` writes strict JSON (UTF-8; what is not finite is null) of the schema
+"skyfit.fit", version 1. Angles are in degrees, azimuth clockwise from north; a value has its unit beside it.
+
+    schema, version       "skyfit.fit", 1
+    skyfit_version        of the package that wrote the file, or null
+    source                name of the measured file
+    solver                name: class in skyfit.transport; then all its settings by name
+    geometry              "flat" or "spherical", that of the solver
+    instrument            fwhm_nm: Gaussian line shape, null for none
+    station               latitude_deg, longitude_deg, altitude_m, pressure_pa; null where unknown
+    atmosphere            what the parameters do not tell
+      rayleigh, aerosol, ozone                          class of the constituent, null where absent
+      rayleigh_formula                                  "bodhaine" or "paper"
+      phase, rayleigh_phase                             class of the phase function: haze, air
+      aerosol_profile, rayleigh_profile, ozone_profile  class of the vertical profile
+      constants                                         numbers that no parameter names, SI, by their place
+    free                  names of the fitted parameters, in the order of each correlation matrix
+    shared                parameters (as in times) and correlation of what all times share; none yet
+    fixed                 name: {value, unit}
+    times                 one entry a time
+      time                ISO 8601 in UTC, or null
+      sun_zenith_deg, sun_azimuth_deg
+      parameters          name: {value, unit, sigma, at_bound, determined}
+      correlation         [parameter][parameter]
+      result, steps       how the solve ended, and after how many steps
+      rmse, rmse_unit     over the usable samples
+      samples             how many those are
+      masked              reason: count of the others
+      reduced_chi_square  has scaled sigma where it exceeds 1
+      undetermined        sentences on what the data leave open
+    total_rmse            over the usable samples of all times, in rmse_unit
+    notes                 sentences on the file and the fit
+"""
+
+import json
+from pathlib import Path
+
+
+SCHEMA, VERSION = "skyfit.fit", 1
+_NUMBER, _TEXT, _COUNT, _FLAG = "a number", "text", "a count", "true or false"
+_NUMBER_OR_NULL, _TEXT_OR_NULL = "a number or null", "text or null"
+_FITTED = {
+    "value": _NUMBER, "unit": _TEXT, "sigma": _NUMBER_OR_NULL, "at_bound": _FLAG, "determined": _FLAG
+}  # fmt: skip
+# a dict lists the keys that must be there; one of `_ANY` holds any keys, each of that form
+_ANY = "*"
+_FORM = {
+    "schema": _TEXT,
+    "version": _COUNT,
+    "skyfit_version": _TEXT_OR_NULL,
+    "source": _TEXT,
+    "solver": {"name": _TEXT},
+    "geometry": _TEXT,
+    "instrument": {"fwhm_nm": _NUMBER_OR_NULL},
+    "station": dict.fromkeys(("latitude_deg", "longitude_deg", "altitude_m", "pressure_pa"), _NUMBER_OR_NULL),
+    "atmosphere": {
+        **dict.fromkeys(("rayleigh", "aerosol", "ozone", "rayleigh_formula"), _TEXT_OR_NULL),
+        **dict.fromkeys(("phase", "rayleigh_phase"), _TEXT_OR_NULL),
+        **dict.fromkeys(("aerosol_profile", "rayleigh_profile", "ozone_profile"), _TEXT_OR_NULL),
+        "constants": {},
+    },
+    "free": [_TEXT],
+    "shared": {"parameters": {_ANY: _FITTED}, "correlation": [[_NUMBER_OR_NULL]]},
+    "fixed": {_ANY: {"value": _NUMBER, "unit": _TEXT}},
+    "times": [
+        {
+            "time": _TEXT_OR_NULL,
+            "sun_zenith_deg": _NUMBER,
+            "sun_azimuth_deg": _NUMBER,
+            "parameters": {_ANY: _FITTED},
+            "correlation": [[_NUMBER_OR_NULL]],
+            "result": _TEXT,
+            "steps": _COUNT,
+            "rmse": _NUMBER_OR_NULL,
+            "rmse_unit": _TEXT,
+            "samples": _COUNT,
+            "masked": {_ANY: _COUNT},
+            "reduced_chi_square": _NUMBER_OR_NULL,
+            "undetermined": [_TEXT],
+        }
+    ],
+    "total_rmse": _NUMBER_OR_NULL,
+    "notes": [_TEXT],
+}
+
+
+def parse(path: Path) -> dict:
+    """The record in a file.
+
+    **Arguments:** `path`, a JSON file.
+    **Returns:** the record, of the form above throughout; a further key is let through.
+    **Errors:** `ValueError` that names the first key that is not of the form.
+    """
+
+    def refuse(word):
+        raise ValueError(f"expected strict JSON, found {word}")
+
+    try:
+        record = json.loads(path.read_bytes().decode("utf-8"), parse_constant=refuse)
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ValueError(f"expected JSON, found a damaged or other file ({error})") from error
+    if not isinstance(record, dict) or record.get("schema") != SCHEMA:
+        found = record.get("schema") if isinstance(record, dict) else None
+        raise ValueError(f'key `schema`: expected "{SCHEMA}", found {shown(found)}')
+    if record.get("version") != VERSION:
+        raise ValueError(f"key `version`: expected {VERSION}, found {shown(record.get('version'))}")
+    _check(record, _FORM, "")
+    return record
+
+
+def _check(value, form, key: str) -> None:
+    if isinstance(form, dict):
+        if not isinstance(value, dict):
+            raise ValueError(f"key `{key}`: expected an object, found {shown(value)}")
+        for name in value if _ANY in form else form:
+            below = f"{key}.{name}" if key else name
+            if name not in value:
+                raise ValueError(f"key `{below}`: expected, found none")
+            _check(value[name], form.get(_ANY, form.get(name)), below)
+    elif isinstance(form, list):
+        if not isinstance(value, list):
+            raise ValueError(f"key `{key}`: expected a list, found {shown(value)}")
+        for i, entry in enumerate(value):
+            _check(entry, form[0], f"{key}[{i}]")
+    else:
+        fits = {
+            _NUMBER: is_number(value),
+            _NUMBER_OR_NULL: value is None or is_number(value),
+            _TEXT: isinstance(value, str),
+            _TEXT_OR_NULL: value is None or isinstance(value, str),
+            _COUNT: type(value) is int and value >= 0,
+            _FLAG: type(value) is bool,
+        }
+        if not fits[form]:
+            raise ValueError(f"key `{key}`: expected {form}, found {shown(value)}")
+
+
+def is_number(value) -> bool:
+    """Whether a value of the record is a finite number."""
+    # an integer beyond the largest float is none
+    return type(value) in (int, float) and abs(value) < 1.7e308
+
+
+def shown(value) -> str:
+    """A value of the record as JSON, short enough for an error of one line."""
+    text = json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."

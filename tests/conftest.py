@@ -1,0 +1,37 @@
+"""Settings and fixtures of all tests; skyfit itself is imported only after pytest has hooked jaxtyping in."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import hypothesis
+import jax
+import pytest
+
+
+# the tests' dtype is the library's default, float32; the fixture `x64` and `jax.enable_x64` change it
+jax.config.update("jax_numpy_rank_promotion", "raise")
+# the same examples each time, and no time limit on one: the first compiles
+hypothesis.settings.register_profile("skyfit", derandomize=True, deadline=None)
+hypothesis.settings.load_profile("skyfit")
+
+
+@pytest.fixture(scope="session")
+def checkout() -> Path:
+    """Root of the checkout."""
+    return Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def shared(checkout: Path) -> Path:
+    """The folder of oracles and measured skies beside the checkout; a test that asks for it skips without."""
+    path = checkout.parent / "shared"
+    if not path.is_dir():
+        pytest.skip("../shared is absent: it holds the oracles and measured skies, which are not shipped")
+    return path
+
+
+@pytest.fixture
+def x64() -> Iterator[None]:
+    """float64 for one test."""
+    with jax.enable_x64(True):
+        yield

@@ -1,0 +1,364 @@
+"""A fit on disk: what `save` writes, that `load` gives the same prediction, and what `load` refuses."""
+
+import json
+from copy import deepcopy
+from dataclasses import replace
+
+import equinox as eqx
+import numpy as np
+import pytest
+import xarray
+from hypothesis import given, HealthCheck, settings, strategies as st
+
+import skyfit.files.fit_record as fit_record
+from skyfit import Aerosol, Atmosphere, Sky
+from skyfit.atmosphere import CornetteShanks, HenyeyGreenstein, Layered, Rayleigh
+from skyfit.files import load, read, save, write_prediction
+from skyfit.fit import Fit, Fitted, invert, predict, SkyModel, start_model
+from skyfit.fit.parameters import with_values
+from skyfit.transport import OrdersOfScattering, SingleScattering
+
+
+FREE = ("turbidity", "angstrom_exponent", "asymmetry", "pointing_azimuth")
+SOLVER = SingleScattering(8, "flat")
+
+
+def make_sky() -> Sky:
+    """Two times, ten directions, four wavelengths; two samples masked."""
+    zenith = np.radians([5.0, 30.0, 30.0, 30.0, 55.0, 55.0, 55.0, 75.0, 75.0, 75.0])
+    azimuth = np.radians([0.0, 0.0, 120.0, 240.0, 60.0, 180.0, 300.0, 0.0, 120.0, 240.0])
+    shape = (2, zenith.size, 4)
+    usable = np.ones(shape, bool)
+    usable[0, 3], usable[1, 4, 2] = False, False
+    return Sky(
+        radiance=np.full(shape, 0.1),
+        sigma=None,
+        usable=usable,
+        view_zenith=zenith,
+        view_azimuth=azimuth,
+        wavelength_nm=np.array([440.0, 500.0, 600.0, 760.0]),
+        sun_zenith=np.radians([40.0, 65.0]),
+        sun_azimuth=np.radians([150.0, 250.0]),
+        time=np.array(["2024-06-01T10:00", "NaT"], "datetime64[ns]"),
+        altitude_m=300.0,
+        masked={"suspect": 5},
+        notes=("made up",),
+        source="made.nc",
+    )
+
+
+@pytest.fixture(scope="session")
+def fit() -> Fit:
+    """A fit to a sky of the solver's own, with noise."""
+    sky = make_sky()
+    truth = with_values(start_model(FREE, 97000.0), FREE, [3.2, 1.1, 0.72, 1.5])
+    alone = [Fitted(sky.time[t : t + 1], (truth,), SOLVER, 6.0) for t in range(2)]
+    clean = np.concatenate([predict(fitted, sky.at(t)) for t, fitted in enumerate(alone)])
+    noise = np.random.default_rng(0).normal(1.0, 0.01, clean.shape)
+    radiance = np.where(sky.usable, clean * noise, np.nan)
+    return invert(replace(sky, radiance=radiance), FREE, SOLVER, fwhm_nm=6.0)
+
+
+@pytest.fixture(scope="session")
+def record(fit, tmp_path_factory) -> dict:
+    path = tmp_path_factory.mktemp("record") / "fit.json"
+    save(fit, path)
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def write(record, path):
+    path.write_text(json.dumps(record), encoding="utf-8")
+    return path
+
+
+def keys_of(value) -> set[str]:
+    return set(value)
+
+
+def test_the_record_has_the_documented_keys(record, fit):
+    assert keys_of(record) == {
+        "schema", "version", "skyfit_version", "source", "solver", "geometry", "instrument", "station",
+        "atmosphere", "free", "shared", "fixed", "times", "total_rmse", "notes",
+    }  # fmt: skip
+    assert (record["schema"], record["version"]) == ("skyfit.fit", 1)
+    assert record["source"] == "made.nc"
+    assert record["solver"] == {"name": "SingleScattering", "nodes": 8, "geometry": "flat"}
+    assert record["geometry"] == "flat"
+    assert record["instrument"] == {"fwhm_nm": 6.0}
+    assert record["station"] == {
+        "latitude_deg": None, "longitude_deg": None, "altitude_m": 300.0, "pressure_pa": None
+    }  # fmt: skip
+    assert record["atmosphere"]["phase"] == "HenyeyGreenstein"
+    assert record["free"] == list(FREE)
+    assert record["shared"] == {"parameters": {}, "correlation": []}
+    assert record["fixed"]["ozone"] == {"value": 300.0, "unit": "DU"}
+    # turbidity is fitted, so its other name is not fixed
+    assert not keys_of(record["fixed"]) & {"turbidity", "aerosol_optical_depth", *FREE}
+    assert record["notes"] == list(fit.notes)
+    assert record["total_rmse"] == fit.total_rmse
+    assert len(record["times"]) == 2
+    for t, entry in enumerate(record["times"]):
+        assert keys_of(entry) == {
+            "time", "sun_zenith_deg", "sun_azimuth_deg", "parameters", "correlation", "result", "steps",
+            "rmse", "rmse_unit", "samples", "masked", "reduced_chi_square", "undetermined",
+        }  # fmt: skip
+        assert keys_of(entry["parameters"]) == set(FREE)
+        for p, name in enumerate(FREE):
+            shown = entry["parameters"][name]
+            assert keys_of(shown) == {"value", "unit", "sigma", "at_bound", "determined"}
+            assert shown["value"] == fit.values[t, p]
+            assert shown["sigma"] == fit.sigma[t, p]
+        assert np.diag(entry["correlation"]) == pytest.approx(np.ones(4))
+        # 760 nm is in the oxygen band, which the model leaves out
+        assert entry["samples"] + sum(entry["masked"].values()) == 40
+        assert entry["masked"]["not modelled"] == (9, 10)[t]
+    assert [entry["time"] for entry in record["times"]] == ["2024-06-01T10:00:00Z", None]
+    assert record["times"][0]["sun_zenith_deg"] == 40.0
+
+
+def test_what_is_not_finite_is_null(fit, tmp_path):
+    sigma = fit.sigma.copy()
+    sigma[0, 1], sigma[1, 2] = np.nan, np.inf
+    covariance = fit.covariance.copy()
+    covariance[0, 1] = np.nan
+    path = tmp_path / "fit.json"
+    bad = replace(fit, sigma=sigma, covariance=covariance, fwhm_nm=float("nan"))
+    save(replace(bad, rmse=np.array([np.nan, np.inf])), path)
+
+    def refuse(word):
+        raise AssertionError(word)
+
+    record = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+    first, second = record["times"]
+    assert first["parameters"]["angstrom_exponent"]["sigma"] is None
+    assert second["parameters"]["asymmetry"]["sigma"] is None
+    assert first["correlation"][1][1] is None
+    assert first["rmse"] is None and second["rmse"] is None
+    assert record["instrument"]["fwhm_nm"] is None
+    assert np.isnan(load(path).fwhm_nm)
+
+
+def test_a_failed_fit_is_written_and_not_loaded(fit, tmp_path):
+    values = fit.values.copy()
+    values[1, 0] = np.nan
+    save(replace(fit, values=values), tmp_path / "fit.json")
+    with pytest.raises(ValueError, match=r"fit\.json: .*times\[1\]\.parameters\.turbidity\.value.*null"):
+        load(tmp_path / "fit.json")
+
+
+def test_a_loaded_fit_predicts_the_fitted_sky(fit, tmp_path):
+    save(fit, tmp_path / "fit.json")
+    loaded = load(tmp_path / "fit.json")
+    assert loaded.solver == fit.solver
+    np.testing.assert_array_equal(loaded.time, fit.sky.time)
+    one = replace(loaded, time=loaded.time[:1], models=loaded.models[:1])
+    np.testing.assert_allclose(predict(one, fit.sky.at(0))[0], fit.model[0], rtol=1e-6)
+    same = replace(fit.fitted, time=loaded.time[1:], models=fit.fitted.models[1:])
+    other = replace(loaded, time=loaded.time[1:], models=loaded.models[1:])
+    np.testing.assert_allclose(predict(other, fit.sky.at(1))[0], fit.model[1], rtol=1e-6)
+    np.testing.assert_array_equal(predict(other, fit.sky.at(1)), predict(same, fit.sky.at(1)))
+
+
+def other_start(fit, **haze) -> Fit:
+    """The fit as if it had started from another atmosphere."""
+    haze = {"phase": HenyeyGreenstein(0.7)} | haze
+    air = haze.pop("air", Rayleigh(9e4))
+    ozone = haze.pop("ozone", fit.start.atmosphere.ozone)
+    return replace(fit, start=SkyModel(Atmosphere(air, Aerosol(0.3, **haze), ozone)))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"phase": CornetteShanks(0.6)},
+        {"air": Rayleigh(9e4, formula="paper")},
+        {"ozone": None},
+        {"single_scattering_albedo": 0.8},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_other_atmospheres_come_back(fit, tmp_path, change):
+    changed = other_start(fit, **change)
+    changed = replace(
+        changed,
+        start=eqx.tree_at(
+            lambda m: m.atmosphere.rayleigh.profile.scale_height, changed.start, replace_fn=lambda x: 0.9 * x
+        ),
+    )
+    save(changed, tmp_path / "fit.json")
+    for back, was in zip(load(tmp_path / "fit.json").models, changed.fitted.models, strict=True):
+        assert eqx.tree_equal(back, was, rtol=1e-6)
+
+
+def test_nothing_is_lost_where_the_haze_is_fixed(fit, tmp_path):
+    free = ("ground_albedo",)
+    start = start_model(free, 9e4)
+    changed = replace(
+        fit, free=free, start=start, values=fit.values[:, 2:3], sigma=fit.sigma[:, 2:3],
+        covariance=fit.covariance[:, 2:3, 2:3], at_bound=fit.at_bound[:, 2:3],
+        determined=fit.determined[:, 2:3], solver=OrdersOfScattering.draft(),
+    )  # fmt: skip
+    save(changed, tmp_path / "fit.json")
+    loaded = load(tmp_path / "fit.json")
+    assert loaded.solver == OrdersOfScattering.draft()
+    assert eqx.tree_equal(loaded.models[0], changed.fitted.models[0], rtol=1e-7)
+
+
+def test_what_cannot_be_rebuilt_is_refused_with_the_reason(fit, tmp_path):
+    layers = Layered([0.0, 1e3, 1e4], [0.8, 0.2])
+    changed = other_start(fit, profile=layers)
+    save(changed, tmp_path / "fit.json")
+    with pytest.raises(ValueError, match=r"fit\.json: .*atmosphere\.aerosol_profile.*Exponential.*Layered"):
+        load(tmp_path / "fit.json")
+
+
+def put(record, path, value):
+    """A copy of the record with the value at a path of keys; deleted where the value is `...`."""
+    record = deepcopy(record)
+    place = record
+    for key in path[:-1]:
+        place = place[key]
+    if value is ...:
+        del place[path[-1]]
+    else:
+        place[path[-1]] = value
+    return record
+
+
+REFUSED = {
+    "schema": (("schema",), "other", "schema"),
+    "no schema": (("schema",), ..., "schema"),
+    "version": (("version",), 2, "version"),
+    "no solver": (("solver",), ..., "solver"),
+    "solver name": (("solver", "name"), "Magic", r"solver\.name"),
+    "solver setting": (("solver", "nodes"), "8", r"solver\.nodes"),
+    "solver without": (("solver", "nodes"), ..., r"solver\.nodes"),
+    "solver with more": (("solver", "streams"), 4, r"solver\.streams"),
+    "solver geometry": (("solver", "geometry"), "round", "geometry"),
+    "geometry": (("geometry",), "spherical", "geometry"),
+    "fwhm": (("instrument", "fwhm_nm"), "wide", r"instrument\.fwhm_nm"),
+    "no station": (("station", "altitude_m"), ..., r"station\.altitude_m"),
+    "phase": (("atmosphere", "phase"), "Mie", r"atmosphere\.phase"),
+    "constant": (
+        ("atmosphere", "constants", "atmosphere.ozone.profile.height"),
+        None,
+        "ozone.profile.height",
+    ),
+    "constant more": (("atmosphere", "constants", "magic"), 1.0, "magic"),
+    "free": (("free",), ["turbidity", "magic"], "free"),
+    "free twice": (("free",), [*FREE, "aerosol_optical_depth"], "free"),
+    "fixed without": (("fixed", "pressure"), ..., r"fixed\.pressure"),
+    "fixed and free": (("fixed", "turbidity"), {"value": 3.0, "unit": "1"}, r"fixed\.turbidity"),
+    "fixed unit": (("fixed", "pressure", "unit"), "hPa", r"fixed\.pressure\.unit"),
+    "no times": (("times",), [], "times"),
+    "times": (("times",), {}, "times"),
+    "time": (("times", 0, "time"), "noon", r"times\[0\]\.time"),
+    "parameter": (("times", 1, "parameters", "asymmetry"), ..., r"times\[1\]\.parameters\.asymmetry"),
+    "value": (("times", 1, "parameters", "asymmetry", "value"), 3.0, r"asymmetry\.value"),
+    "true": (("times", 1, "parameters", "asymmetry", "value"), True, r"asymmetry\.value"),
+    "flag": (("times", 1, "parameters", "asymmetry", "at_bound"), 0, r"asymmetry\.at_bound"),
+    "correlation": (("times", 0, "correlation"), [[1.0, "x"]], r"times\[0\]\.correlation\[0\]\[1\]"),
+    "steps": (("times", 0, "steps"), -1, r"times\[0\]\.steps"),
+    "notes": (("notes",), ["fine", 3], r"notes\[1\]"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_another_record_is_refused_in_one_line(record, tmp_path, case):
+    path, value, told = REFUSED[case]
+    file = write(put(record, path, value), tmp_path / "odd.json")
+    with pytest.raises(ValueError, match=rf"^odd\.json: key `[^`]*{told}") as caught:
+        load(file)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"schema": NaN}', "[" * 100000, "\udcff"])
+def test_other_files_are_refused_in_one_line(tmp_path, text):
+    file = tmp_path / "odd.json"
+    file.write_bytes(text.encode("utf-8", "surrogateescape"))
+    with pytest.raises(ValueError, match=r"^odd\.json: ") as caught:
+        load(file)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ValueError, match=r"none\.json: cannot be read"):
+        load(tmp_path / "none.json")
+
+
+def places(value, path=()):
+    yield path
+    for key in value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ():
+        yield from places(value[key], (*path, key))
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_a_damaged_record_never_gives_another_error(record, tmp_path, data):
+    path = data.draw(st.sampled_from(sorted(filter(None, places(record)), key=str)))
+    value = data.draw(st.sampled_from([..., None, True, -1, 10**400, 1.5, "text", [], {}, [[]]]))
+    try:
+        load(write(put(record, path, value), tmp_path / "odd.json"))
+    except ValueError as error:
+        assert str(error).startswith("odd.json: ") and "\n" not in str(error)
+
+
+def test_parameters_of_all_times_are_read(record, fit, tmp_path):
+    changed = deepcopy(record)
+    shared = [entry["parameters"].pop("asymmetry") for entry in changed["times"]][0]
+    changed["shared"] = {"parameters": {"asymmetry": shared}, "correlation": [[1.0]]}
+    for model in load(write(changed, tmp_path / "fit.json")).models:
+        assert float(model.atmosphere.aerosol.phase.asymmetry) == pytest.approx(shared["value"])
+
+
+def test_the_field_is_written(fit, tmp_path):
+    path = tmp_path / "fit.nc"
+    save(fit, path)
+    with xarray.open_dataset(path, engine="h5netcdf") as data:
+        for name in ("model", "residual", "radiance"):
+            assert data[name].dims == ("time", "direction", "wavelength")
+            assert data[name].attrs["units"] == "W m-2 sr-1 nm-1"
+            assert set(data[name].coords) == {"time", "wavelength", "view_zenith", "view_azimuth"}
+        np.testing.assert_array_equal(data["model"], fit.model)
+        np.testing.assert_array_equal(np.isnan(data["residual"]), ~fit.used)
+        np.testing.assert_array_equal(data["residual"].values[fit.used], fit.residual[fit.used])
+        assert np.sqrt(np.nanmean(data["residual"] ** 2)) == pytest.approx(fit.total_rmse)
+    back = read(path)
+    np.testing.assert_array_equal(back.radiance, fit.sky.radiance)
+    np.testing.assert_array_equal(back.usable, fit.sky.usable)
+
+
+def test_a_prediction_reads_back(fit, tmp_path):
+    path = tmp_path / "prediction.nc"
+    radiance = fit.model.copy()
+    radiance[0, 0, 3] = np.nan
+    write_prediction(fit.sky, radiance, path)
+    back = read(path)
+    np.testing.assert_array_equal(back.radiance, radiance)
+    assert back.masked == {"missing": 1}
+    np.testing.assert_allclose(back.view_azimuth, fit.sky.view_azimuth, atol=1e-11)
+    np.testing.assert_array_equal(back.time, fit.sky.time)
+    assert "predicted" in back.notes[0]
+    with pytest.raises(ValueError, match="`radiance` must have the shape"):
+        write_prediction(fit.sky, radiance[:1], path)
+
+
+def test_nothing_is_left_half_written(fit, tmp_path, monkeypatch):
+    for name in ("fit.txt", "fit"):
+        with pytest.raises(ValueError, match=r"expected a suffix of \.json, \.nc"):
+            save(fit, tmp_path / name)
+    with pytest.raises(ValueError, match="existing folder"):
+        save(fit, tmp_path / "none" / "fit.json")
+    (tmp_path / "fit.json").write_text("old")
+    (tmp_path / "fit.nc").write_text("old")
+
+    def fail(*_, **__):
+        raise RuntimeError("the disk is full")
+
+    monkeypatch.setattr(fit_record.json, "dumps", fail)
+    monkeypatch.setattr(xarray.Dataset, "to_netcdf", fail)
+    for name in ("fit.json", "fit.nc"):
+        with pytest.raises(RuntimeError, match="full"):
+            save(fit, tmp_path / name)
+        assert (tmp_path / name).read_text() == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["fit.json", "fit.nc"]

@@ -1,0 +1,168 @@
+"""The wheel installs and fits a sky; an import stays light; each floor stands only on those beneath it."""
+
+import ast
+import csv
+import json
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+import venv
+from pathlib import Path
+
+import pytest
+
+
+ROOT = Path(__file__).resolve().parents[1]
+# a floor imports only from the floors under it; what shares a line imports nothing from its neighbour
+FLOORS = (
+    {"numerics"},
+    {"light"},
+    {"scene"},
+    {"atmosphere"},
+    {"transport", "sky"},
+    {"fit"},
+    {"files", "draw"},
+    {"cli"},
+)
+HEIGHT = {name: height for height, names in enumerate(FLOORS) for name in names}
+HEAVY = ("colour", "matplotlib", "pandas", "pvlib", "scipy", "xarray")
+SOURCES = sorted((ROOT / "skyfit").rglob("*.py"))
+
+
+def run(*command: object, cwd: Path, **environment: str) -> str:
+    """Standard output of a command that sees no other skyfit than its own environment's."""
+    inherited = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    done = subprocess.run(
+        [str(word) for word in command],
+        cwd=cwd,
+        env=inherited | environment,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`bin` of a fresh environment with the wheel in it; what skyfit depends on is borrowed from this one."""
+    folder = tmp_path_factory.mktemp("wheel")
+    build = (sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, ROOT)
+    run(*build, cwd=folder)
+    (wheel,) = folder.glob("skyfit-*.whl")
+    venv.create(folder / "venv", with_pip=False, symlinks=True)
+    python = folder / "venv/bin/python"
+    purelib = Path(
+        run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder).strip()
+    )
+    # a folder named in a .pth does not have its own .pth files read: an editable skyfit stays out of sight
+    paths = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
+    (purelib / "dependencies.pth").write_text("\n".join(sorted(paths)) + "\n")
+    install = (
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+        "--no-deps",
+        "--no-index",
+        wheel,
+    )
+    run(sys.executable, "-m", "pip", "--python", python, *install, cwd=folder)
+    return folder / "venv/bin"
+
+
+def test_the_wheel_holds_the_package_and_every_table(installed: Path, tmp_path: Path):
+    found = run(installed / "python", "-c", "import skyfit; print(skyfit.__file__)", cwd=tmp_path)
+    package = Path(found.strip()).parent
+    assert package.is_relative_to(installed.parent)
+    for folder, target in ((ROOT / "skyfit", package), (ROOT / "data", package / "data")):
+        names = {path.relative_to(folder) for path in folder.rglob("*") if path.is_file()}
+        wanted = {name for name in names if "__pycache__" not in name.parts}
+        got = {path.relative_to(target) for path in target.rglob("*") if path.is_file()}
+        assert wanted <= got
+
+
+def test_the_wheel_fits_a_sky(installed: Path, tmp_path: Path):
+    skyfit = installed / "skyfit"
+    assert "invert" in run(skyfit, "--help", cwd=tmp_path)
+    with (tmp_path / "dirs.csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["view_zenith", "view_azimuth"])
+        rows.writerows([zenith, azimuth] for zenith in (20, 50, 75) for azimuth in (10, 100, 190, 280))
+    simulate = "simulate --sun-zenith 60 --turbidity 3 --solver single --out sky.nc --directions dirs.csv"
+    run(skyfit, *simulate.split(), cwd=tmp_path)
+    run(skyfit, *"invert sky.nc --solver single --free turbidity --out out".split(), cwd=tmp_path)
+    fit = json.loads((tmp_path / "out/fit.json").read_text())
+    turbidity = fit["times"][0]["parameters"]["turbidity"]["value"]
+    assert turbidity == pytest.approx(3.0, abs=0.01)
+
+
+def test_the_import_is_light(tmp_path: Path):
+    # what jax and equinox load of themselves is not skyfit's doing
+    count = "import sys, jax, equinox; was = set(sys.modules); import skyfit; print(*set(sys.modules) - was)"
+    modules = run(sys.executable, "-c", count, cwd=tmp_path, PYTHONPATH=str(ROOT)).split()
+    assert "skyfit.transport" in modules
+    assert not {name.split(".")[0] for name in modules} & set(HEAVY)
+
+
+def floor(path: Path) -> str:
+    """Folder or module right under skyfit/ that a source file belongs to; "" for skyfit/__init__.py."""
+    first = path.relative_to(ROOT / "skyfit").parts[0]
+    return "" if first == "__init__.py" else first.removesuffix(".py")
+
+
+def imports(path: Path) -> set[str]:
+    """Modules that a source file imports, anywhere in it, by their absolute names."""
+    package = path.relative_to(ROOT).parent.parts
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            start = package[: len(package) + 1 - node.level] if node.level else ()
+            module = ".".join((*start, *filter(None, [node.module])))
+            # `from skyfit import x` names a floor only with x
+            found |= {f"{module}.{alias.name}" for alias in node.names} if module == "skyfit" else {module}
+    return found
+
+
+def test_every_folder_has_its_floor():
+    assert {floor(path) for path in SOURCES} <= {"", *HEIGHT}
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_floors(path: Path):
+    own = floor(path)
+    modules = [name.split(".") for name in imports(path)]
+    inside = {name[1] for name in modules if name[0] == "skyfit" and len(name) > 1}
+    if own:
+        # a name that is no floor is the top's own, which stands on all floors but the last
+        above = {name for name in inside - {own} if HEIGHT.get(name, len(FLOORS) - 2) >= HEIGHT[own]}
+        assert not above, f"{own} imports {sorted(above)}, which is not beneath it"
+    if own != "fit":
+        assert "optimistix" not in {name[0] for name in modules}
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_a_file_says_what_is_in_it_and_is_not_long(path: Path):
+    assert path.stem not in {"common", "helper", "helpers", "misc", "util", "utils"}
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= 400
+
+
+def test_no_machine_path_and_no_index_address():
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        capture_output=True,
+    )
+    if listed.returncode:
+        pytest.skip("no git checkout, so no list of tracked files")
+    # written so that this file does not hold what it looks for
+    machine = re.compile(rb"(?<![\w.:/-])(?:/(?:work|tmp|home|root|Users|opt)/\w|file:/{2})")
+    files = [ROOT / os.fsdecode(name) for name in listed.stdout.split(b"\0") if name]
+    found = [
+        str(path.relative_to(ROOT)) for path in files if path.is_file() and machine.search(path.read_bytes())
+    ]
+    assert not found
+    assert "://" not in (ROOT / "requirements.lock").read_text()
