@@ -14,6 +14,7 @@ import sasktran2 as sk
 import xarray as xr
 from pvlib.spectrum.spectrl2 import _SPECTRL2_COEFFS
 
+
 EARTH_RADIUS_M = 6.371e6
 FLAT_RADIUS_M = 6.371e8  # sasktran2 refuses ground-up views in its plane-parallel modes
 TOP_M = 1.0e5

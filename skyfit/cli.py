@@ -3,7 +3,7 @@
 import os
 import sys
 from contextlib import contextmanager
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -52,14 +52,14 @@ console = Console()
 notices = Console(stderr=True)
 
 
-class SolverName(str, Enum):
+class SolverName(StrEnum):
     """Transport solvers by their short names."""
 
     orders = "orders"
     single = "single"
 
 
-class PresetName(str, Enum):
+class PresetName(StrEnum):
     """How finely a solver resolves."""
 
     draft = "draft"
@@ -67,7 +67,7 @@ class PresetName(str, Enum):
     fine = "fine"
 
 
-class GeometryName(str, Enum):
+class GeometryName(StrEnum):
     """The shape of the Earth."""
 
     flat = "flat"
@@ -82,6 +82,7 @@ Latitude = Annotated[float | None, typer.Option(help="degrees north, if the file
 Longitude = Annotated[float | None, typer.Option(help="degrees east, if the file does not tell")]
 UtcOffset = Annotated[float | None, typer.Option(help="hours of local time ahead of UTC (EDT: -4)")]
 Altitude = Annotated[float | None, typer.Option(help="of the station, metres")]
+FreeOption = Annotated[str, typer.Option(help=f"with commas, of: {', '.join(PARAMETERS)}")]
 LineShape = Annotated[float | None, typer.Option(help="Gaussian line shape of the instrument, nm")]
 
 
@@ -97,6 +98,10 @@ def _progress(title: str):
     with Progress(*columns, console=notices, transient=True) as bar:
         task = bar.add_task(title, total=None)
         yield lambda done, of: bar.update(task, completed=done, total=of)
+
+
+def _table(title: str) -> Table:
+    return Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
 
 
 def _wavelengths(text: str) -> np.ndarray:
@@ -142,20 +147,19 @@ def simulate(
         raise ValueError("exactly one of `--turbidity` and `--aerosol-optical-depth` must be given")
     if turbidity is not None:
         depth = turbidity_to_optical_depth(_in_range("--turbidity", turbidity, 1.0, 60.0))
-    else:
+    elif aerosol_optical_depth is not None:
         depth = _in_range("--aerosol-optical-depth", aerosol_optical_depth, 0.0, 6.0)
     _in_range("--sun-zenith", sun_zenith, 0.0, 90.0)
     aerosol = Aerosol(
-        depth,
-        _in_range("--angstrom-exponent", angstrom_exponent, -1.0, 4.0),
-        _in_range("--single-scattering-albedo", single_scattering_albedo, 0.0, 1.0),
-        0.0,
-        HenyeyGreenstein(_in_range("--asymmetry", asymmetry, -0.98, 0.98)),
+        optical_depth=depth,
+        angstrom_exponent=_in_range("--angstrom-exponent", angstrom_exponent, -1.0, 4.0),
+        single_scattering_albedo=_in_range("--single-scattering-albedo", single_scattering_albedo, 0.0, 1.0),
+        phase=HenyeyGreenstein(_in_range("--asymmetry", asymmetry, -0.98, 0.98)),
     )
     atmosphere = Atmosphere(
         aerosol=aerosol,
-        ozone=Ozone(_in_range("--ozone", ozone, 0.0, 1000.0)),
-        ground=Ground(_in_range("--ground-albedo", ground_albedo, 0.0, 1.0)),
+        ozone=Ozone(column=_in_range("--ozone", ozone, 0.0, 1000.0)),
+        ground=Ground(albedo=_in_range("--ground-albedo", ground_albedo, 0.0, 1.0)),
     )
     view = hemisphere(343) if directions is None else Directions(*read_directions(directions))
     spectrum = _wavelengths(wavelengths)
@@ -194,7 +198,7 @@ def refit_command(
 
 def _print_refit(result: Refit) -> None:
     names = tuple(result.luminance_error)
-    table = Table(title="Median luminance error of each sky, %, view zenith to 80 degrees", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table = _table("Median luminance error of each sky, %, view zenith to 80 degrees")
     for heading in ("sun zenith", "turbidity", *names):
         table.add_column(heading, justify="right")
     for i, sun in enumerate(np.degrees(result.sun_zenith)):
@@ -228,7 +232,7 @@ def _draw_refit(result: Refit, path: Path) -> None:
 def invert_command(
     sky: Annotated[Path, typer.Argument(help="NetCDF, CSV or a folder of ASD text exports")],
     out: OutFolder,
-    free: Annotated[str, typer.Option(help=f"with commas, of: {', '.join(PARAMETERS)}")] = ",".join(DEFAULT_FREE),
+    free: FreeOption = ",".join(DEFAULT_FREE),
     fix: Annotated[list[str] | None, typer.Option(help="name=value of a parameter that is known")] = None,
     latitude: Latitude = None,
     longitude: Longitude = None,
@@ -271,7 +275,7 @@ def _known(text: str) -> tuple[str, float]:
 
 def _print_fit(fit: Fit) -> None:
     count = len(fit.sky.time)
-    scans = Table(title=f"{fit.sky.source}: {count} {'sky' if count == 1 else 'skies'}", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    scans = _table(f"{fit.sky.source}: {count} {'sky' if count == 1 else 'skies'}")
     headings = ("time (UTC)", "sun zenith", "azimuth", "RMSE mW", "chi2", "steps", "result")
     for heading in headings:
         scans.add_column(heading, justify="right", no_wrap=True)
@@ -285,7 +289,7 @@ def _print_fit(fit: Fit) -> None:
         highlight=False,
     )
     for t, name in enumerate(time_names(fit.sky)):
-        values = Table(title=name, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+        values = _table(name)
         for heading in ("parameter", "value", "sigma", "unit", "remarks"):
             values.add_column(heading, justify="right" if heading in ("value", "sigma") else "left")
         for p, parameter in enumerate(fit.free):

@@ -22,13 +22,13 @@ class AbstractPhase(eqx.Module):
     @abstractmethod
     def value(
         self, haversine: Float[Array, " direction"], wavelength_nm: Float[Array, " wavelength"]
-    ) -> Float[Array, "direction #wavelength"]:
+    ) -> Float[Array, " direction #wavelength"]:
         """The phase function at angles from the forward direction, sr^-1."""
 
     @abstractmethod
     def moments(
         self, count: int, wavelength_nm: Float[Array, " wavelength"]
-    ) -> Float[Array, "moment #wavelength"]:
+    ) -> Float[Array, " moment #wavelength"]:
         """The Legendre moments 0 .. count-1, dimensionless."""
 
 

@@ -31,13 +31,13 @@ def cells(zenith: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
 
     **Arguments:** the directions, radians. **Returns:** indices, `[row, column]`.
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     above = np.flatnonzero(zenith <= 0.5 * np.pi)
     result = np.full((_SIZE, _SIZE), -1)
     if above.size == 0:
         return result
-    tree = cKDTree(_unit(zenith[above], azimuth[above]))
+    tree = KDTree(_unit(zenith[above], azimuth[above]))
     pixel_zenith, pixel_azimuth, inside = pixels()
     away, nearest = tree.query(_unit(pixel_zenith[inside], pixel_azimuth[inside]))
     if above.size > 1:

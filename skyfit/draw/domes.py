@@ -15,8 +15,8 @@ from .dome import cells, draw_dome, interpolated, place
 
 # a page holds no more times; of more, an even choice is drawn
 _MOST_ROWS = 8
-# inches, the width of a fit's page
-_WIDE = 14.2
+# inches, the width of a fit's page and the height of a line of its tables
+_WIDE, _LINE = 14.2, 0.152
 # nm, the wavelengths whose mean is drawn
 _BAND = (400.0, 700.0)
 # the mean of a sky's luminance in linear sRGB: a bright blue sky, white only around the sun
@@ -37,22 +37,25 @@ def plot(fit: Fit, path: str | os.PathLike) -> None:
     """
     figure_of = _figure_type(path)
     count = len(fit.sky.time)
-    rows = np.unique(np.linspace(0, count - 1, min(count, _MOST_ROWS)).round().astype(int))
+    rows = np.linspace(0, count - 1, min(count, _MOST_ROWS)).round().astype(int).tolist()
     # inches
-    top, bottom, height = 0.62, 0.55, max(3.04, 0.75 + 0.152 * (len(fit.free) + _most_lines(fit)))
-    tall = top + bottom + height * len(rows)
+    top, bottom = 0.62, 0.55
+    heights = [max(3.04, 0.75 + _LINE * (len(fit.free) + len(_sentences(fit, t)))) for t in rows]
+    tall = top + bottom + sum(heights)
     figure = figure_of((_WIDE, tall))
     band = _band(fit)
-    for i, t in enumerate(rows):
-        base = bottom + height * (len(rows) - 1 - i)
-        _draw_row(figure, fit, int(t), band, base, height, tall)
+    base = tall - top
+    for t, height in zip(rows, heights, strict=True):
+        base -= height
+        _draw_row(figure, fit, t, band, base, height, tall)
     shown = "" if len(rows) == count else f", {len(rows)} of its {count} times"
     figure.text(0.012, 1.0 - 0.2 / tall, f"{fit.sky.source or 'sky'}{shown}", fontsize=12, va="center",
                 weight="bold")  # fmt: skip
     figure.text(0.012, 1.0 - 0.43 / tall, _settings(fit), fontsize=8.5, va="center", color="#555555")
-    low, high = fit.sky.wavelength_nm[band][[0, -1]]
+    ends = np.unique(fit.sky.wavelength_nm[band][[0, -1]])
+    ends = "-".join(f"{end:g}" for end in ends)
     caption = (
-        f"Domes: mean radiance of the fitted samples at {low:g}-{high:g} nm, as on a map: zenith in the "
+        f"Domes: mean radiance of the fitted samples at {ends} nm, as on a map: zenith in the "
         "middle, north up, azimuth clockwise (east right), rings at 30 and 60\N{DEGREE SIGN} from it.\n"
         "Dots: measured directions; hollow: masked. Ringed dot: the sun. Residual: model minus measured, "
         "per cent of that time's measured mean."
@@ -94,13 +97,13 @@ def plot_skies(
     pictures = _pictures(zenith, azimuth, [list(skies.values()) for _, skies in rows])
     columns = names + [f"{name}: error" for name in names[1:]]
     # inches
-    side, left, top, bottom = 2.15, 1.25, 0.5, 0.85 if len(names) > 1 else 0.3
+    side, left, top, bottom = 2.15, 1.45, 0.5, 0.85 if len(names) > 1 else 0.3
     wide, tall = left + side * len(columns) + 0.1, top + bottom + side * len(rows)
     figure = figure_of((wide, tall))
     image = None
     for r, ((label, skies), where) in enumerate(zip(rows, sun, strict=True)):
         y = (bottom + side * (len(rows) - 1 - r)) / tall
-        figure.text(0.12 / wide, y + 0.5 * side / tall, _lines(label, 18), fontsize=9, va="center")
+        figure.text(0.12 / wide, y + 0.5 * side / tall, _lines(label, 21), fontsize=9, va="center")
         exposure = _GREY / max(float(np.mean(np.asarray(skies[names[0]])[:, 1])), 1e-30)
         for c, column in enumerate(columns):
             box = ((left + side * c) / wide, y, side / wide, side / tall)
@@ -120,9 +123,7 @@ def plot_skies(
         bar.ax.tick_params(labelsize=7.5, length=2)
         bar.set_label(f"luminance against {names[0]}, %", fontsize=8)
         bar.outline.set_linewidth(0.5)
-    caption = (
-        "As on a map: zenith in the middle, north up, east right.\nOne exposure in each row. Ringed dot: sun."
-    )
+    caption = "As on a map: zenith in the middle, north up, east right.\nOne exposure in each row. Ringed dot: sun."
     figure.text(0.12 / wide, 0.14 / tall, caption, fontsize=8, va="bottom", color="#555555")
     _write(figure, path)
 
@@ -268,13 +269,14 @@ def _draw_spectra(axes, fit: Fit, t: int) -> None:
     used = fit.used[t]
     count = np.where(used.any(axis=0), used.sum(axis=0), 1)
     wavelength = fit.sky.wavelength_nm
-    many = len(wavelength) > 80
+    many, peak = len(wavelength) > 80, 0.0
     dots = {"color": _MEASURED, "marker": "o", "markersize": 1.5 if many else 3.5, "linewidth": 0.0}
     line = {"color": _MODEL, "marker": ".", "markersize": 1.0 if many else 2.5, "linewidth": 1.1}
     for name, values, style in (("measured", fit.sky.radiance[t], dots), ("model", fit.model[t], line)):
         mean = np.where(used.any(axis=0), np.where(used, values, 0.0).sum(axis=0) / count, np.nan)
         axes.plot(wavelength, 1e3 * mean, label=name, **style)
-    axes.set_ylim(bottom=0.0)
+        peak = max(peak, 1e3 * float(np.nanmax(mean)))
+    axes.set_ylim(0.0, 1.15 * max(peak, 1e-30))
     axes.tick_params(labelsize=7.5, length=2.5, width=0.6)
     axes.set_xlabel("wavelength, nm", fontsize=8, labelpad=1.5)
     axes.set_title(f"mean radiance, {_UNIT}", fontsize=8, loc="left", pad=4)
@@ -289,8 +291,8 @@ def _draw_spectra(axes, fit: Fit, t: int) -> None:
 def _draw_table(axes, fit: Fit, t: int) -> None:
     axes.set_axis_off()
     tall = axes.get_position().height * axes.figure.get_size_inches()[1]
-    # inches
-    line, y = 0.152, 0.3
+    # inches below the top
+    y = 0.3
 
     def write(x, text, **style):
         axes.text(x, 1.0 - y / tall, text, transform=axes.transAxes, fontsize=8, va="center", **style)
@@ -299,7 +301,7 @@ def _draw_table(axes, fit: Fit, t: int) -> None:
     write(0.50, "value", weight="bold", ha="right")
     write(0.525, "\u00b1 sigma", weight="bold")
     for p, name in enumerate(fit.free):
-        y += line
+        y += _LINE
         value, sigma = fit.values[t, p], fit.sigma[t, p]
         sure = bool(fit.determined[t, p])
         colour = _MEASURED if sure and not fit.at_bound[t, p] else "#a0522d"
@@ -308,13 +310,12 @@ def _draw_table(axes, fit: Fit, t: int) -> None:
         shown = f"{value:.{decimals}f}" if decimals is not None else f"{value:.3g}"
         write(0.50, shown.replace("-", "\u2212"), ha="right", color=colour)
         spread = f"{sigma:.{decimals}f}" if decimals is not None else f"{sigma:.2g}"
+        spread = spread if np.isfinite(sigma) else "\u2014"
         unit = _UNITS.get(PARAMETERS[name].unit, f" {PARAMETERS[name].unit}")
-        flags = ", ".join(
-            text for text, yes in (("at bound", fit.at_bound[t, p]), ("undetermined", not sure)) if yes
-        )
+        flags = ", ".join(text for text, yes in (("at bound", fit.at_bound[t, p]), ("undetermined", not sure)) if yes)
         write(0.525, f"\u00b1 {spread}{unit}  {flags}", color=colour)
     for sentence in _sentences(fit, t):
-        y += line
+        y += _LINE
         write(0.0, sentence, color="#a0522d", style="italic")
 
 
@@ -334,10 +335,6 @@ def _sentences(fit: Fit, t: int) -> list[str]:
 def _lines(text: str, width: int) -> str:
     """The text with its own line breaks, and more where a line would be longer than `width`."""
     return "\n".join(textwrap.fill(line, width) for line in text.split("\n"))
-
-
-def _most_lines(fit: Fit) -> int:
-    return max(len(_sentences(fit, t)) for t in range(len(fit.sky.time)))
 
 
 def _pictures(zenith, azimuth, rows: list[list[np.ndarray]]) -> list[list[np.ndarray]]:

@@ -8,6 +8,7 @@ sample was not used.
 import json
 import math
 import os
+from collections.abc import Callable
 from dataclasses import fields, replace
 from importlib import metadata
 from pathlib import Path
@@ -69,9 +70,7 @@ def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) ->
     """
     radiance = np.asarray(radiance, np.float64)
     if radiance.shape != sky.radiance.shape:
-        raise ValueError(
-            f"`radiance` must have the shape {sky.radiance.shape} of `sky`, got {radiance.shape}"
-        )
+        raise ValueError(f"`radiance` must have the shape {sky.radiance.shape} of `sky`, got {radiance.shape}")
     seen = (sky.view_zenith <= 0.5 * np.pi)[None, :, None]
     usable = np.isfinite(radiance) & (radiance >= 0.0) & seen
     notes = (f"predicted by skyfit for the samples of {sky.source}",)
@@ -86,9 +85,7 @@ def _write_field(fit: Fit, part: Path) -> None:
         "model": (fit.model, "fitted spectral radiance"),
         "residual": (np.where(fit.used, fit.residual, np.nan), "model minus radiance where it was used"),
     }
-    variables = {
-        name: (axes, values, {"units": RADIANCE, "long_name": text}) for name, (values, text) in about.items()
-    }
+    variables = {name: (axes, values, {"units": RADIANCE, "long_name": text}) for name, (values, text) in about.items()}
     write_netcdf(fit.sky, part)
     encoding = {name: {"zlib": True} for name in variables}
     xarray.Dataset(variables).to_netcdf(part, mode="a", engine="h5netcdf", encoding=encoding)
@@ -287,15 +284,12 @@ def _check_parameters(key: str, entries: dict, expected: set[str], fitted: bool 
             raise ValueError(f"key `{key}.{name}`: expected only {', '.join(sorted(expected)) or 'none'}")
         parameter, value, unit = PARAMETERS[name], entries[name]["value"], entries[name]["unit"]
         if unit != parameter.unit:
-            raise ValueError(
-                f"key `{key}.{name}.unit`: expected {shown(parameter.unit)}, found {shown(unit)}"
-            )
+            raise ValueError(f"key `{key}.{name}.unit`: expected {shown(parameter.unit)}, found {shown(unit)}")
         # rounding may put a fitted value a little outside
         slack = 1e-5 * (parameter.upper - parameter.lower)
         if fitted and not parameter.lower - slack <= value <= parameter.upper + slack:
             raise ValueError(
-                f"key `{key}.{name}.value`: expected {parameter.lower:g} to {parameter.upper:g}, "
-                f"found {value:g}"
+                f"key `{key}.{name}.value`: expected {parameter.lower:g} to {parameter.upper:g}, found {value:g}"
             )
 
 
@@ -309,7 +303,7 @@ def _stamp(text: str | None, t: int) -> np.datetime64:
 def _solver(record: dict) -> AbstractSolver:
     settings = dict(record["solver"])
     name = settings.pop("name")
-    known = {
+    known: dict[str, Callable[..., AbstractSolver]] = {
         key: kind
         for key, kind in vars(transport).items()
         if isinstance(kind, type) and issubclass(kind, AbstractSolver) and kind is not AbstractSolver
@@ -322,9 +316,7 @@ def _solver(record: dict) -> AbstractSolver:
             raise ValueError(f"key `solver.{key}`: expected, found none")
         usual = getattr(defaults, key, None)
         if usual is None or type(settings[key]) is not type(usual):
-            raise ValueError(
-                f"key `solver.{key}`: expected a setting of {name}, found {shown(settings[key])}"
-            )
+            raise ValueError(f"key `solver.{key}`: expected a setting of {name}, found {shown(settings[key])}")
     if record["geometry"] != settings["geometry"]:
         raise ValueError(f"key `geometry`: expected that of the solver, found {shown(record['geometry'])}")
     try:

@@ -12,5 +12,5 @@ from .parameters import (
     values_of as values_of,
     with_values as with_values,
 )
-from .refit import model_xyz as model_xyz, preetham_atmosphere as preetham_atmosphere, refit as refit, Refit as Refit
+from .refit import model_xyz as model_xyz, preetham_atmosphere as preetham_atmosphere, Refit as Refit, refit as refit
 from .result import Fit as Fit, Fitted as Fitted, time_names as time_names

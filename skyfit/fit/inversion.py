@@ -1,9 +1,9 @@
 """From a measured sky to the parameters of its atmosphere."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -93,7 +93,8 @@ def invert(
         if progress is not None:
             progress(t + 1, len(sky.time))
     lists = ("result", "undetermined")
-    arrays = {name: np.array(rows) for name, rows in columns.items() if name not in lists}
+    arrays: dict[str, Any] = {name: np.array(rows) for name, rows in columns.items() if name not in lists}
+    words: dict[str, Any] = {name: tuple(columns[name]) for name in lists}
     everything = values_of(start, PARAMETERS)
     hidden = {"turbidity"} if "aerosol_optical_depth" in free else {"aerosol_optical_depth"}
     kept = {n: v for n, v in everything.items() if n not in free and n not in hidden}
@@ -101,7 +102,7 @@ def invert(
         kept.pop("turbidity", None)
     return Fit(
         sky=sky, solver=solver, free=free, used=used, start=start, fwhm_nm=float(fwhm_nm), notes=tuple(notes),
-        fixed=kept, **arrays, **{name: tuple(columns[name]) for name in lists},
+        fixed=kept, **arrays, **words,
     )  # fmt: skip
 
 

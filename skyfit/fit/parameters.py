@@ -141,7 +141,8 @@ def start_model(free: tuple[str, ...], pressure: float) -> SkyModel:
     """
     two_terms = any(name in free for name in _TWO_TERM)
     phase = TwoTermHenyeyGreenstein(0.75, 0.1, 0.8) if two_terms else HenyeyGreenstein(0.68)
-    atmosphere = Atmosphere(aerosol=Aerosol(0.15, 1.3, 0.92, 0.0, phase), ground=Ground(0.15))
+    aerosol = Aerosol(optical_depth=0.15, single_scattering_albedo=0.92, phase=phase)
+    atmosphere = Atmosphere(aerosol=aerosol, ground=Ground(albedo=0.15))
     model = SkyModel(atmosphere)
     return eqx.tree_at(lambda m: m.atmosphere.rayleigh.pressure, model, as_float(pressure))
 

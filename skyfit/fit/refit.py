@@ -131,7 +131,9 @@ def refit(
         simulated=np.asarray(simulated), result=results,
         luminance_error={n: np.median(e[0][:, stated], axis=1) for n, e in errors.items()},
         chromaticity_error={n: np.median(e[1][:, stated], axis=1) for n, e in errors.items()},
-        overall={n: tuple(float(np.median(part[:, stated])) for part in e) for n, e in errors.items()},
+        overall={
+            n: (float(np.median(e[0][:, stated])), float(np.median(e[1][:, stated]))) for n, e in errors.items()
+        },
     )  # fmt: skip
 
 

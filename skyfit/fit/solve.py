@@ -108,7 +108,7 @@ def least_squares(
         change = jax.lax.stop_gradient(jacobian) @ (value - fixed)
         return result + change, (result, jacobian)
 
-    solver = LevenbergMarquardt(tolerance, tolerance, MarquardtDescent(limit))
+    solver = LevenbergMarquardt(rtol=tolerance, atol=tolerance, descent=MarquardtDescent(limit=limit))
     solution = optx.least_squares(
         linearised, solver, start, arguments, has_aux=True, max_steps=max_steps, throw=False
     )

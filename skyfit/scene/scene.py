@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..light import earth_sun_factor, extraterrestrial_irradiance
-from .directions import Directions, as_float
+from .directions import as_float, Directions
 
 
 class Scene(eqx.Module):

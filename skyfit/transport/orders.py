@@ -68,17 +68,21 @@ class OrdersOfScattering(AbstractSolver):
     @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
         """Within about 2 % of `fine`."""
-        return cls(4, 6, 20, 6, 16, 6, geometry)
+        return cls(
+            streams=4, modes=6, levels=20, orders=6, nodes=16, spectral_nodes=6, geometry=geometry
+        )
 
     @classmethod
     def normal(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
         """Within about 0.5 % of `fine`."""
-        return cls(8, 10, 40, 10, 24, 8, geometry)
+        return cls(geometry=geometry)
 
     @classmethod
     def fine(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
         """The reference of the house."""
-        return cls(16, 20, 100, 24, 64, 0, geometry)
+        return cls(
+            streams=16, modes=20, levels=100, orders=24, nodes=64, spectral_nodes=0, geometry=geometry
+        )
 
     @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
@@ -157,10 +161,9 @@ def _scaled_optics(
 def _level_heights(constituents: tuple[AbstractConstituent, ...], levels: int) -> Float[Array, " level"]:
     """Heights (m) of the levels, top to ground, equal steps of the scatterers' mean column share."""
     scatterers = [c.profile for c in constituents if c.phase is not None]
-    # the lowest lying scatterer gets the larger share: haze is where radiance bends
     table = TOP_OF_ATMOSPHERE * (np.arange(_HEIGHT_TABLE + 1) / _HEIGHT_TABLE) ** 3
     height = jnp.asarray(table, jnp.result_type(float))
-    share = sum(p.above(height) for p in scatterers) / len(scatterers)
+    share = jnp.mean(jnp.stack([p.above(height) for p in scatterers]), axis=0)
     share = (share - share[-1]) / (share[0] - share[-1])
     target = jnp.arange(levels + 1) / levels
     return jnp.interp(target.astype(height.dtype), share[::-1], height[::-1])

@@ -96,7 +96,7 @@ def attenuated_sources(
 
 def phase_values(
     constituents: tuple[AbstractConstituent, ...], scene: Scene, wavelength_nm: Float[Array, " wavelength"]
-) -> list[Float[Array, "direction #wavelength"]]:
+) -> list[Float[Array, " direction #wavelength"]]:
     """Each scatterer's phase function at the angle between view and sun, sr^-1."""
     half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)
     return [c.phase.value(half, wavelength_nm) for c in constituents if c.phase is not None]
@@ -140,17 +140,17 @@ class SingleScattering(AbstractSolver):
     @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "SingleScattering":
         """12 nodes."""
-        return cls(12, geometry)
+        return cls(nodes=12, geometry=geometry)
 
     @classmethod
     def normal(cls, geometry: Geometry = "spherical") -> "SingleScattering":
         """24 nodes."""
-        return cls(24, geometry)
+        return cls(nodes=24, geometry=geometry)
 
     @classmethod
     def fine(cls, geometry: Geometry = "spherical") -> "SingleScattering":
         """64 nodes."""
-        return cls(64, geometry)
+        return cls(nodes=64, geometry=geometry)
 
     @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
@@ -184,7 +184,9 @@ def _radiance(solver: SingleScattering, atmosphere: Atmosphere, scene: Scene):
     path = view_path(constituents, scene, solver.nodes, solver.geometry)
     integral = attenuated_sources(path, depth.extinction, scatterers)
     phases = phase_values(constituents, scene, scene.wavelength_nm)
-    total = sum(p * depth.scattering[i][None] * integral[:, j] for j, (i, p) in enumerate(zip(scatterers, phases, strict=True)))
+    total = jnp.zeros(integral.shape[::2], integral.dtype)
+    for j, (i, phase) in enumerate(zip(scatterers, phases, strict=True)):
+        total = total + phase * depth.scattering[i][None] * integral[:, j]
     return total * scene.solar_irradiance[None]
 
 
