@@ -81,14 +81,23 @@ def test_the_papers_air_is_17_percent_larger():
     assert float(ratio[0]) == pytest.approx(1.17, abs=0.005)
 
 
-@pytest.mark.parametrize("wavelength, published, unit", [
-    # Hoffman & Preetham 2002, Table 1
-    (650.0, 6.95e-6, 1e-8), (570.0, 1.18e-5, 1e-7), (475.0, 2.44e-5, 1e-7),
-    # Bruneton & Neyret 2008, sec. 2.1: 13.5 stands against 13.56 of their own formula, a whole unit
-    (680.0, 5.8e-6, 1e-7), (550.0, 13.5e-6, 1.3e-7), (440.0, 33.1e-6, 1e-7),
-])
+@pytest.mark.parametrize(
+    "wavelength, published, unit",
+    [
+        # Hoffman & Preetham 2002, Table 1
+        (650.0, 6.95e-6, 1e-8),
+        (570.0, 1.18e-5, 1e-7),
+        (475.0, 2.44e-5, 1e-7),
+        # Bruneton & Neyret 2008, sec. 2.1: 13.5 stands against 13.56 of their own formula, a whole unit
+        (680.0, 5.8e-6, 1e-7),
+        (550.0, 13.5e-6, 1.3e-7),
+        (440.0, 33.1e-6, 1e-7),
+    ],
+)
 def test_papers_scattering_coefficients(wavelength, published, unit):
-    assert float(paper_scattering_coefficient(jnp.asarray(wavelength))) == pytest.approx(published, abs=0.5 * unit + 1e-10)
+    assert float(paper_scattering_coefficient(jnp.asarray(wavelength))) == pytest.approx(
+        published, abs=0.5 * unit + 1e-10
+    )
 
 
 def test_the_papers_air_is_a_power_law():
@@ -120,8 +129,12 @@ def test_pressure_of_the_standard_atmosphere():
 def test_aerosol_follows_angstrom():
     haze = Aerosol(0.2, 1.3, 0.9, 0.1)
     wavelength = jnp.array([400.0, 550.0, 1000.0])
-    np.testing.assert_allclose(haze.extinction(wavelength), 0.2 * (np.array(wavelength) / 550.0) ** -1.3, rtol=1e-5)
-    np.testing.assert_allclose(haze.albedo(wavelength), 0.9 + 0.1 * np.log(np.array(wavelength) / 550.0), rtol=1e-5)
+    np.testing.assert_allclose(
+        haze.extinction(wavelength), 0.2 * (np.array(wavelength) / 550.0) ** -1.3, rtol=1e-5
+    )
+    np.testing.assert_allclose(
+        haze.albedo(wavelength), 0.9 + 0.1 * np.log(np.array(wavelength) / 550.0), rtol=1e-5
+    )
     assert float(jnp.max(Aerosol(0.2, 1.3, 0.99, 0.5).albedo(wavelength))) == 1.0
     assert float(jnp.min(Aerosol(0.2, 1.3, 0.01, 0.5).albedo(wavelength))) == 0.0
 
@@ -133,7 +146,9 @@ def test_turbidity_and_optical_depth_are_inverses(turbidity):
         depth = turbidity_to_optical_depth(jnp.asarray(turbidity))
         assert float(optical_depth_to_turbidity(depth)) == pytest.approx(turbidity, rel=1e-12)
         # Preetham 1999, sec. 2.1: T = (t_m + t_h) / t_m
-        assert float(depth) == pytest.approx((turbidity - 1.0) * ab_initio_rayleigh(550.0), rel=3e-4, abs=1e-12)
+        assert float(depth) == pytest.approx(
+            (turbidity - 1.0) * ab_initio_rayleigh(550.0), rel=3e-4, abs=1e-12
+        )
 
 
 def test_from_turbidity_may_be_traced():
@@ -152,7 +167,9 @@ def test_from_turbidity_may_be_traced():
     assert made.aerosol.optical_depth.shape == (2,)
 
 
-@pytest.mark.parametrize("wavelength, coefficient", [(300.0, 10.0), (320.0, 0.8), (350.0, 0.007), (450.0, 0.003)])
+@pytest.mark.parametrize(
+    "wavelength, coefficient", [(300.0, 10.0), (320.0, 0.8), (350.0, 0.007), (450.0, 0.003)]
+)
 def test_ozone_is_spectrl2s(wavelength, coefficient):
     """Bird & Riordan 1986, table 1, cm^-1: 1000 Dobson units are 1 atm-cm."""
     found = Ozone(column=250.0).extinction(jnp.array([wavelength]))
@@ -170,7 +187,9 @@ def test_ozone_agrees_with_pvlib_between_its_rows_and_only_absorbs():
 
 def test_prescribed_gives_what_it_was_given():
     wavelength = jnp.array([450.0, 550.0, 650.0])
-    one = Prescribed(np.array([0.1, 0.2, 0.3]), Exponential(1000.0), HenyeyGreenstein(0.6), np.array([0.9, 0.8, 0.7]))
+    one = Prescribed(
+        np.array([0.1, 0.2, 0.3]), Exponential(1000.0), HenyeyGreenstein(0.6), np.array([0.9, 0.8, 0.7])
+    )
     np.testing.assert_allclose(one.extinction(wavelength), [0.1, 0.2, 0.3], rtol=1e-6)
     np.testing.assert_allclose(one.albedo(wavelength), [0.9, 0.8, 0.7], rtol=1e-6)
     np.testing.assert_array_equal(Prescribed(np.ones(3), Exponential(1000.0)).albedo(wavelength), np.ones(3))
@@ -180,7 +199,9 @@ def test_prescribed_gives_what_it_was_given():
 
 def test_ground_reflectance_takes_a_slope_or_a_spectrum():
     wavelength = jnp.array([400.0, 550.0])
-    np.testing.assert_allclose(Ground(0.3, 0.1).reflectance(wavelength), [0.3 + 0.1 * np.log(400.0 / 550.0), 0.3], rtol=1e-5)
+    np.testing.assert_allclose(
+        Ground(0.3, 0.1).reflectance(wavelength), [0.3 + 0.1 * np.log(400.0 / 550.0), 0.3], rtol=1e-5
+    )
     np.testing.assert_allclose(Ground(np.array([0.1, 0.6])).reflectance(wavelength), [0.1, 0.6], rtol=1e-6)
     np.testing.assert_array_equal(Ground(0.9, -1.0).reflectance(wavelength)[:1], [1.0])
 
@@ -237,7 +258,9 @@ def test_moments_are_the_integrals_of_the_values(phase):
     name, angle, values, moments = phase
     series = np.stack([np.polynomial.legendre.legval(np.cos(angle), np.eye(40)[k]) for k in range(40)])
     integrals = np.pi**2 * (series * WEIGHTS * np.sin(angle)) @ values
-    np.testing.assert_allclose(moments + 0.0 * integrals, integrals, atol=2e-4 if name == "bullrich" else 1e-10)
+    np.testing.assert_allclose(
+        moments + 0.0 * integrals, integrals, atol=2e-4 if name == "bullrich" else 1e-10
+    )
 
 
 def test_the_legendre_series_gives_the_value_back(phase):
@@ -267,10 +290,8 @@ def test_phase_gradients_are_finite_toward_the_sun_and_away(name):
     ends = jnp.array([0.0, 1e-9, 0.5, 1.0])
     wavelength = jnp.array([550.0])
     for function in (lambda p, h: p.value(h, wavelength), lambda p, h: p.moments(6, wavelength)):
-        slopes = jax.jacfwd(function, (0, 1))(made, ends)
+        slopes = jax.jit(jax.jacrev(function, (0, 1)))(made, ends)
         assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(slopes))
-    total = jax.grad(lambda p: jnp.sum(p.value(ends, wavelength)) + jnp.sum(p.moments(6, wavelength)))(made)
-    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(total))
 
 
 def test_rayleigh_without_depolarization_is_the_papers():
@@ -317,7 +338,10 @@ def test_bullrich_keeps_the_shape_of_preethams_table():
 PROFILES = {
     "exponential": (lambda: Exponential(8000.0), ()),
     "ozone": (lambda: OzoneLayer(), ()),
-    "layered": (lambda: Layered(np.array([0.0, 1000.0, 3000.0, 10000.0]), np.array([1.0, 2.0, 5.0])), (1000.0, 3000.0, 10000.0)),
+    "layered": (
+        lambda: Layered(np.array([0.0, 1000.0, 3000.0, 10000.0]), np.array([1.0, 2.0, 5.0])),
+        (1000.0, 3000.0, 10000.0),
+    ),
 }
 
 
@@ -342,7 +366,8 @@ def test_profile_gradients_are_finite_at_every_height(name):
     height = jnp.array([0.0, 1000.0, 1e5, 1e6])
     for method in ("above", "density"):
         values, slopes = (
-            f(PROFILES[name][0]()) for f in (lambda p: getattr(p, method)(height), jax.jacfwd(lambda p: getattr(p, method)(height)))
+            f(PROFILES[name][0]())
+            for f in (lambda p: getattr(p, method)(height), jax.jacfwd(lambda p: getattr(p, method)(height)))
         )
         assert np.all(np.asarray(values) >= 0.0)
         assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(slopes))
@@ -350,7 +375,11 @@ def test_profile_gradients_are_finite_at_every_height(name):
 
 def test_layers_are_normalised_and_checked():
     profile = Layered(np.array([0.0, 1000.0, 3000.0]), np.array([3.0, 1.0]))
-    np.testing.assert_allclose(profile.above(jnp.array([0.0, 1000.0, 2000.0, 3000.0])), [1.0, 0.25, 0.125, 0.0], atol=1e-6)
-    np.testing.assert_allclose(profile.density(jnp.array([500.0, 2000.0, 5000.0])), [7.5e-4, 1.25e-4, 0.0], rtol=1e-6)
+    np.testing.assert_allclose(
+        profile.above(jnp.array([0.0, 1000.0, 2000.0, 3000.0])), [1.0, 0.25, 0.125, 0.0], atol=1e-6
+    )
+    np.testing.assert_allclose(
+        profile.density(jnp.array([500.0, 2000.0, 5000.0])), [7.5e-4, 1.25e-4, 0.0], rtol=1e-6
+    )
     with pytest.raises(ValueError, match="`edges` must have one entry more than `fraction`"):
         Layered(np.array([0.0, 1.0]), np.array([1.0, 2.0]))

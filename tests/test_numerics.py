@@ -21,9 +21,28 @@ from skyfit.numerics import (
 
 
 # tiny, either side of the switch at 0.5, large, and moderately negative
-ARGUMENTS = np.array([
-    0.0, 1e-30, 1e-12, 1e-6, 1e-3, 0.1, 0.4999, 0.5, 0.5001, 1.0, 5.0, 30.0, 100.0, 1e4, -1e-6, -0.4999, -0.5001, -3.0
-])
+ARGUMENTS = np.array(
+    [
+        0.0,
+        1e-30,
+        1e-12,
+        1e-6,
+        1e-3,
+        0.1,
+        0.4999,
+        0.5,
+        0.5001,
+        1.0,
+        5.0,
+        30.0,
+        100.0,
+        1e4,
+        -1e-6,
+        -0.4999,
+        -0.5001,
+        -3.0,
+    ]
+)
 
 
 def phi2(x):
@@ -45,9 +64,13 @@ def test_phi_functions_and_their_derivatives_keep_their_digits(dtype, tolerance)
     with jax.enable_x64(dtype == "float64"):
         x = jnp.asarray(ARGUMENTS, dtype)
         found = phi1(x), phi2(x), jax.vmap(jax.grad(phi1))(x), jax.vmap(jax.grad(phi2))(x)
-        for i, (result, expected) in enumerate(zip(found, moments_of_exponential(np.asarray(x)), strict=True)):
+        for i, (result, expected) in enumerate(
+            zip(found, moments_of_exponential(np.asarray(x)), strict=True)
+        ):
             # a derivative divides once more by x: some digits more are lost at the switch
-            np.testing.assert_allclose(result, expected, rtol=tolerance * (1 if i < 2 else 30), err_msg=str(i))
+            np.testing.assert_allclose(
+                result, expected, rtol=tolerance * (1 if i < 2 else 30), err_msg=str(i)
+            )
             assert result.dtype == dtype
 
 
@@ -58,9 +81,20 @@ def test_phi_functions_keep_the_rank_and_survive_jit():
     assert phi1(jnp.asarray(0.0)) == 1.0 and phi2(jnp.asarray(0.0)) == 0.5
 
 
-@pytest.mark.parametrize("x, y", [
-    (0.0, 0.0), (1.0, 1.0), (1.0, 1.0 + 1e-13), (0.3, 0.31), (2.0, 0.1), (0.1, 2.0), (50.0, 50.0), (1e-9, 80.0), (700.0, 1.0)
-])
+@pytest.mark.parametrize(
+    "x, y",
+    [
+        (0.0, 0.0),
+        (1.0, 1.0),
+        (1.0, 1.0 + 1e-13),
+        (0.3, 0.31),
+        (2.0, 0.1),
+        (0.1, 2.0),
+        (50.0, 50.0),
+        (1e-9, 80.0),
+        (700.0, 1.0),
+    ],
+)
 def test_exp_mean_is_the_divided_difference_of_the_exponential(x64, x, y):
     nodes, weights = np.polynomial.legendre.leggauss(200)
     t = 0.5 * (nodes + 1.0)
@@ -110,7 +144,9 @@ def test_associated_legendre_is_scipys_without_the_phase(dtype, tolerance):
     modes, degrees = 7, 24
     zenith = np.array([0.0, 1e-3, 0.4, 1.0, np.pi / 2, 2.2, np.pi])
     with jax.enable_x64(dtype == "float64"):
-        found = associated_legendre(jnp.asarray(np.cos(zenith), dtype), jnp.asarray(np.sin(zenith), dtype), modes, degrees)
+        found = associated_legendre(
+            jnp.asarray(np.cos(zenith), dtype), jnp.asarray(np.sin(zenith), dtype), modes, degrees
+        )
         assert found.dtype == dtype and found.shape == (degrees, modes, len(zenith))
         found = np.asarray(found, float)
     degree, mode = np.arange(degrees)[:, None, None], np.arange(modes)[None, :, None]
@@ -124,7 +160,8 @@ def test_the_addition_theorem_holds(x64):
     first, second, turn = 0.7, 1.9, 2.3
     degrees = 12
     one, two = (
-        associated_legendre(jnp.cos(z), jnp.sin(z), degrees, degrees) for z in (jnp.asarray(first), jnp.asarray(second))
+        associated_legendre(jnp.cos(z), jnp.sin(z), degrees, degrees)
+        for z in (jnp.asarray(first), jnp.asarray(second))
     )
     mode = np.arange(degrees)
     expected = np.cos(first) * np.cos(second) + np.sin(first) * np.sin(second) * np.cos(turn)
@@ -141,7 +178,9 @@ def test_legendre_gradients_are_finite_at_the_zenith_and_the_horizon(x64):
     for zenith in (0.0, 0.5 * np.pi, np.pi, 0.8):
         forward = jax.jacfwd(everything)(jnp.asarray(zenith))
         step = 1e-6
-        central = (everything(jnp.asarray(zenith + step)) - everything(jnp.asarray(zenith - step))) / (2.0 * step)
+        central = (everything(jnp.asarray(zenith + step)) - everything(jnp.asarray(zenith - step))) / (
+            2.0 * step
+        )
         np.testing.assert_allclose(forward, central, atol=1e-8 * float(jnp.max(jnp.abs(forward))))
 
 

@@ -23,7 +23,7 @@ FLOORS = (
     {"atmosphere"},
     {"transport", "sky"},
     {"fit"},
-    {"files", "draw"},
+    {"files"}, {"draw"},
     {"cli"},
 )
 HEIGHT = {name: height for height, names in enumerate(FLOORS) for name in names}

@@ -11,7 +11,16 @@ import pytest
 from scipy.integrate import quad
 
 import skyfit
-from skyfit.atmosphere import Aerosol, Exponential, Ground, HenyeyGreenstein, Ozone, Prescribed, Rayleigh, RayleighPhase
+from skyfit.atmosphere import (
+    Aerosol,
+    Exponential,
+    Ground,
+    HenyeyGreenstein,
+    Ozone,
+    Prescribed,
+    Rayleigh,
+    RayleighPhase,
+)
 from skyfit.transport import OrdersOfScattering, SingleScattering
 
 
@@ -30,7 +39,9 @@ def slow(*values):
 
 
 def views(zenith, azimuth):
-    return skyfit.Directions.from_degrees(np.asarray(zenith, float)[:, None], np.asarray(azimuth, float)[None])
+    return skyfit.Directions.from_degrees(
+        np.asarray(zenith, float)[:, None], np.asarray(azimuth, float)[None]
+    )
 
 
 def haze_over_air(air, haze, asymmetry=0.7, albedo_single=0.9, ground=0.0, haze_height=1200.0):
@@ -38,7 +49,10 @@ def haze_over_air(air, haze, asymmetry=0.7, albedo_single=0.9, ground=0.0, haze_
     return skyfit.Atmosphere(
         Prescribed(jnp.reshape(jnp.asarray(air, float), (1,)), Exponential(8000.0), RayleighPhase(0.0)),
         Prescribed(
-            jnp.reshape(jnp.asarray(haze, float), (1,)), Exponential(haze_height), HenyeyGreenstein(asymmetry), albedo_single
+            jnp.reshape(jnp.asarray(haze, float), (1,)),
+            Exponential(haze_height),
+            HenyeyGreenstein(asymmetry),
+            albedo_single,
         ),
         None,
         Ground(ground),
@@ -71,10 +85,14 @@ def flat_integral(sun, view, azimuth, depths, heights, albedos):
         share = [np.exp(-height / h) for h in heights]
         above = sum(t * s for t, s in zip(depths, share, strict=True))
         attenuation = np.exp(-(sum(depths) - above) / mu - above / mu_sun)
-        emitted = sum(p * a * t * s / h for p, a, t, s, h in zip(phases, albedos, depths, share, heights, strict=True))
+        emitted = sum(
+            p * a * t * s / h for p, a, t, s, h in zip(phases, albedos, depths, share, heights, strict=True)
+        )
         return emitted * attenuation / mu
 
-    return quad(integrand, 0.0, 3e5, points=[100.0, 1e3, 5e3, 2e4, 6e4], epsabs=0.0, epsrel=1e-10, limit=400)[0]
+    return quad(integrand, 0.0, 3e5, points=[100.0, 1e3, 5e3, 2e4, 6e4], epsabs=0.0, epsrel=1e-10, limit=400)[
+        0
+    ]
 
 
 def test_flat_single_scattering_is_the_integral(x64):
@@ -82,7 +100,9 @@ def test_flat_single_scattering_is_the_integral(x64):
     zenith, azimuth = [0.0, 40.0, 75.0, 85.0], [0.0, 90.0, 180.0]
     for sun in (0.0, 50.0, 80.0, 88.0):
         expected = [[flat_integral(sun, v, a, depths, heights, albedos) for a in azimuth] for v in zenith]
-        found = SingleScattering.fine("flat").radiance(haze_over_air(*depths), unit_scene(sun, views(zenith, azimuth)))
+        found = SingleScattering.fine("flat").radiance(
+            haze_over_air(*depths), unit_scene(sun, views(zenith, azimuth))
+        )
         np.testing.assert_allclose(found[:, 0], np.ravel(expected), rtol=1e-5)
 
 
@@ -116,7 +136,9 @@ def spherical_integral(sun, view, azimuth, depths, heights, albedos):
     distance, weight = panels(start, np.geomspace(200.0, 2e6, 14), 12)
     points = eye + distance[:, None] * viewward
     before, before_weight = panels(0.0, np.linspace(0.0, 1.0, 9)[1:])
-    to_eye = np.array([d * before_weight @ density(eye + d * before[:, None] * viewward).sum(-1) for d in distance])
+    to_eye = np.array(
+        [d * before_weight @ density(eye + d * before[:, None] * viewward).sum(-1) for d in distance]
+    )
     # toward the sun, from the point of the line that lies nearest to the Earth's centre
     along = points @ sunward
     outward, outward_weight = panels(0.0, np.geomspace(200.0, 3e6, 14))
@@ -129,7 +151,9 @@ def spherical_integral(sun, view, azimuth, depths, heights, albedos):
             return to_space(point, sunward)
         nearest = point - behind * sunward
         back = behind * before
-        return to_space(nearest, sunward) - behind * before_weight @ density(nearest + back[:, None] * sunward).sum(-1)
+        return to_space(nearest, sunward) - behind * before_weight @ density(
+            nearest + back[:, None] * sunward
+        ).sum(-1)
 
     to_the_sun = np.array([to_sun(p, b) for p, b in zip(points, along, strict=True)])
     phases = np.array(phase_functions(sunward @ viewward))
@@ -147,7 +171,9 @@ def test_the_independent_integral_is_good_to_a_part_in_a_million():
 def test_spherical_single_scattering_is_the_integral(x64, sun):
     depths, heights, albedos = (0.25, 0.3), (8000.0, 1200.0), (1.0, 0.9)
     zenith, azimuth = [0.0, 45.0, 80.0], [10.0, 90.0, 170.0]
-    expected = np.ravel([[spherical_integral(sun, v, a, depths, heights, albedos) for a in azimuth] for v in zenith])
+    expected = np.ravel(
+        [[spherical_integral(sun, v, a, depths, heights, albedos) for a in azimuth] for v in zenith]
+    )
     scene = unit_scene(sun, views(zenith, azimuth))
     fine = SingleScattering.fine("spherical").radiance(haze_over_air(*depths), scene)[:, 0]
     np.testing.assert_allclose(fine, expected, rtol=1e-3)
@@ -159,7 +185,8 @@ def test_flat_quadrature_converges_fast_in_nodes(x64):
     scene, atmosphere = unit_scene(65.0, views([0.0, 60.0, 80.0], [20.0, 100.0])), haze_over_air(0.25, 0.3)
     best = SingleScattering(96, "flat").radiance(atmosphere, scene)
     errors = [
-        float(jnp.max(jnp.abs(SingleScattering(n, "flat").radiance(atmosphere, scene) / best - 1.0))) for n in (6, 12, 24, 48)
+        float(jnp.max(jnp.abs(SingleScattering(n, "flat").radiance(atmosphere, scene) / best - 1.0)))
+        for n in (6, 12, 24, 48)
     ]
     for few, many in zip(errors, errors[1:], strict=False):
         # better than fourth order
@@ -185,7 +212,9 @@ def test_spherical_quadrature_converges_in_nodes(x64):
 def test_a_thin_sky_is_its_optical_depth_over_the_cosine(x64, name):
     """L -> E0 sum p omega tau / mu; the second order is tau times smaller."""
     thin, sun, zenith, azimuth = 1e-7, 40.0, [0.0, 30.0, 60.0], [0.0, 120.0]
-    found = SOLVERS[name].radiance(haze_over_air(thin, 2.0 * thin), unit_scene(sun, views(zenith, azimuth)))[:, 0]
+    found = SOLVERS[name].radiance(haze_over_air(thin, 2.0 * thin), unit_scene(sun, views(zenith, azimuth)))[
+        :, 0
+    ]
     expected = []
     for view in zenith:
         for turn in azimuth:
@@ -206,11 +235,17 @@ def test_thin_air_is_blue_by_the_fourth_power(x64, name):
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_the_sky_is_symmetric_about_the_suns_meridian_and_turns_with_it(x64, name):
-    atmosphere, zenith, azimuth = haze_over_air(0.2, 0.2, ground=0.2), np.array([20.0, 60.0, 80.0]), np.array([15.0, 80.0, 165.0])
+    atmosphere, zenith, azimuth = (
+        haze_over_air(0.2, 0.2, ground=0.2),
+        np.array([20.0, 60.0, 80.0]),
+        np.array([15.0, 80.0, 165.0]),
+    )
 
     def sky(turn, sign):
         view = views(zenith, turn + sign * azimuth)
-        return SOLVERS[name].radiance(atmosphere, skyfit.Scene.from_degrees(55.0, view, ONE, turn, irradiance="unit"))
+        return SOLVERS[name].radiance(
+            atmosphere, skyfit.Scene.from_degrees(55.0, view, ONE, turn, irradiance="unit")
+        )
 
     first = sky(0.0, 1.0)
     np.testing.assert_allclose(sky(0.0, -1.0), first, rtol=1e-10)
@@ -239,7 +274,9 @@ def test_orders_exceed_single_scattering_and_brighten_with_the_ground():
 
 @pytest.fixture(scope="module")
 def oracle_check(checkout):
-    spec = importlib.util.spec_from_file_location("oracle_check", checkout / "experiments" / "oracle_check.py")
+    spec = importlib.util.spec_from_file_location(
+        "oracle_check", checkout / "experiments" / "oracle_check.py"
+    )
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -326,21 +363,37 @@ def test_no_light_is_lost_without_absorption(x64, air, haze, asymmetry):
 def test_absorption_takes_light_away(x64):
     suns, wavelength = jnp.deg2rad(jnp.array([20.0, 60.0])), jnp.asarray(ONE)
     clear, sooty = (
-        total_down(DEEP, haze_over_air(0.1, 0.5, 0.7, w, 0.3), suns, wavelength).diffuse_down for w in (1.0, 0.6)
+        total_down(DEEP, haze_over_air(0.1, 0.5, 0.7, w, 0.3), suns, wavelength).diffuse_down
+        for w in (1.0, 0.6)
     )
     assert np.all(sooty < clear)
 
 
-@pytest.mark.parametrize("depth, single_albedo, asymmetry, ground, sun", [
-    (0.25, 1.0, 0.0, 0.0, 60.0), (0.5, 0.9, 0.7, 0.3, 30.0), (1.0, 0.999, 0.7, 0.8, 75.0), (2.0, 0.95, 0.6, 0.1, 50.0),
-])
+@pytest.mark.parametrize(
+    "depth, single_albedo, asymmetry, ground, sun",
+    [
+        (0.25, 1.0, 0.0, 0.0, 60.0),
+        (0.5, 0.9, 0.7, 0.3, 30.0),
+        (1.0, 0.999, 0.7, 0.8, 75.0),
+        (2.0, 0.95, 0.6, 0.1, 50.0),
+    ],
+)
 def test_fluxes_are_those_of_pythonic_disort(x64, depth, single_albedo, asymmetry, ground, sun):
     pydisort = pytest.importorskip("PythonicDISORT.pydisort", reason="PythonicDISORT is absent").pydisort
     mu = np.cos(np.radians(sun))
     moments = asymmetry ** np.arange(65.0)
     _, _, down, *_ = pydisort(
-        depth, min(single_albedo, 1.0 - 1e-6), 32, moments[None], mu, 1.0, 0.0, NLeg=32, only_flux=True,
-        f_arr=moments[32], BDRF_Fourier_modes=[ground] if ground else [],
+        depth,
+        min(single_albedo, 1.0 - 1e-6),
+        32,
+        moments[None],
+        mu,
+        1.0,
+        0.0,
+        NLeg=32,
+        only_flux=True,
+        f_arr=moments[32],
+        BDRF_Fourier_modes=[ground] if ground else [],
     )
     diffuse, direct = (float(np.squeeze(v)) for v in down(np.array([depth])))
     haze = Prescribed(np.array([depth]), Exponential(8000.0), HenyeyGreenstein(asymmetry), single_albedo)
@@ -357,18 +410,36 @@ def test_an_overcast_sky_has_the_light_of_pythonic_disort(x64, depth, single_alb
     pydisort = pytest.importorskip("PythonicDISORT.pydisort", reason="PythonicDISORT is absent").pydisort
     moments, mu = 0.7 ** np.arange(65.0), 0.5
     _, _, down, *_ = pydisort(
-        depth, min(single_albedo, 1.0 - 1e-6), 32, moments[None], mu, 1.0, 0.0, NLeg=32, only_flux=True, f_arr=moments[32]
+        depth,
+        min(single_albedo, 1.0 - 1e-6),
+        32,
+        moments[None],
+        mu,
+        1.0,
+        0.0,
+        NLeg=32,
+        only_flux=True,
+        f_arr=moments[32],
     )
     haze = Prescribed(np.array([depth]), Exponential(8000.0), HenyeyGreenstein(0.7), single_albedo)
     atmosphere = skyfit.Atmosphere(haze, None, None, Ground(0.0))
-    found = total_down(OrdersOfScattering.normal("flat"), atmosphere, jnp.arccos(jnp.array([mu])), jnp.asarray(ONE))
-    assert float(found.diffuse_down[0, 0]) == pytest.approx(float(np.squeeze(down(np.array([depth]))[0])), rel=0.02)
+    found = total_down(
+        OrdersOfScattering.normal("flat"), atmosphere, jnp.arccos(jnp.array([mu])), jnp.asarray(ONE)
+    )
+    assert float(found.diffuse_down[0, 0]) == pytest.approx(
+        float(np.squeeze(down(np.array([depth]))[0])), rel=0.02
+    )
 
 
-@pytest.mark.parametrize("solver, tolerance", [
-    (SingleScattering(32, "flat"), 2e-3), (SingleScattering(32, "spherical"), 2e-3),
-    (OrdersOfScattering(8, 6, 30, 10, 24, 0, "flat"), 3e-3),
-], ids=["single flat", "single spherical", "orders flat"])
+@pytest.mark.parametrize(
+    "solver, tolerance",
+    [
+        (SingleScattering(32, "flat"), 2e-3),
+        (SingleScattering(32, "spherical"), 2e-3),
+        (OrdersOfScattering(8, 6, 30, 10, 24, 0, "flat"), 3e-3),
+    ],
+    ids=["single flat", "single spherical", "orders flat"],
+)
 def test_the_diffuse_flux_is_the_radiance_over_the_hemisphere(x64, solver, tolerance):
     x, weight = np.polynomial.legendre.leggauss(24)
     mu, turns = 0.5 * (x + 1.0), 48
@@ -416,10 +487,24 @@ COLOURS = np.array([420.0, 480.0, 550.0, 680.0])
 
 def hazy(**changes):
     """Every kind of leaf: air, haze, ozone, ground."""
-    values = {"pressure": 9e4, "haze": 0.2, "albedo": 0.9, "asymmetry": 0.65, "ozone": 300.0, "ground": 0.2} | changes
+    values = {
+        "pressure": 9e4,
+        "haze": 0.2,
+        "albedo": 0.9,
+        "asymmetry": 0.65,
+        "ozone": 300.0,
+        "ground": 0.2,
+    } | changes
     atmosphere = skyfit.Atmosphere(
         Rayleigh(values["pressure"]),
-        Aerosol(values["haze"], 1.2, values["albedo"], 0.02, HenyeyGreenstein(values["asymmetry"]), Exponential(1500.0)),
+        Aerosol(
+            values["haze"],
+            1.2,
+            values["albedo"],
+            0.02,
+            HenyeyGreenstein(values["asymmetry"]),
+            Exponential(1500.0),
+        ),
         Ozone(values["ozone"]),
         Ground(values["ground"], 0.05),
     )
@@ -430,19 +515,44 @@ def sky_of(solver, view, wavelength=COLOURS):
     """A function of the atmosphere and the sun's zenith angle in radians."""
 
     def sky(atmosphere, sun):
-        return solver.radiance(atmosphere, skyfit.Scene(sun, 0.3, view, wavelength, jnp.ones(len(wavelength))))
+        return solver.radiance(
+            atmosphere, skyfit.Scene(sun, 0.3, view, wavelength, jnp.ones(len(wavelength)))
+        )
 
     return sky
+
+
+SKIES = {}
+
+
+def compiled_sky(name, atmosphere, sun, zenith, azimuth):
+    """At most nine directions; one program for each solver and dtype serves many tests."""
+    key = name, jnp.result_type(float)
+    if key not in SKIES:
+
+        def sky(atmosphere, sun, zenith, azimuth):
+            return sky_of(SOLVERS[name], skyfit.Directions(zenith, azimuth))(atmosphere, sun)
+
+        SKIES[key] = jax.jit(sky, compiler_options=HASTE)
+    zenith, azimuth = (np.ravel(v) for v in np.broadcast_arrays(zenith, azimuth))
+    padded = (jnp.asarray(np.pad(v, (0, 9 - len(zenith)), "edge"), float) for v in (zenith, azimuth))
+    atmosphere = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), atmosphere)
+    return np.asarray(SKIES[key](atmosphere, jnp.asarray(sun, float), *padded))[: len(zenith)]
 
 
 def names_of(tree):
     return [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(tree)]
 
 
-@pytest.mark.parametrize("name, reverse", [
-    ("single flat", True), ("single spherical", True), ("orders spherical", True),
-    ("orders flat", False), slow("orders flat", True),
-])
+@pytest.mark.parametrize(
+    "name, reverse",
+    [
+        ("single flat", True),
+        ("single spherical", True),
+        ("orders spherical", True),
+        slow("orders flat", True),
+    ],
+)
 def test_gradients_are_central_differences_for_every_parameter(x64, name, reverse):
     """Away from the horizon: both modes, every leaf of the atmosphere and the sun's zenith angle."""
     sky = sky_of(SOLVERS[name], skyfit.Directions(np.radians([5.0, 50.0, 80.0]), np.array([0.5, 1.5, 3.0])))
@@ -469,14 +579,22 @@ def test_gradients_are_central_differences_for_every_parameter(x64, name, revers
             expected = float(jnp.sum(weight * forward[i]))
             assert float(backward[i]) == pytest.approx(expected, abs=1e-9 * largest * weight.size), leaf
     # no parameter is lost on the way, but for the ground in single scattering
-    without = [leaf for i, leaf in enumerate(names_of(start)) if float(jnp.max(jnp.abs(forward[i]))) < 1e-7 * largest]
+    without = [
+        leaf for i, leaf in enumerate(names_of(start)) if float(jnp.max(jnp.abs(forward[i]))) < 1e-7 * largest
+    ]
     assert all("ground" in leaf for leaf in without) and (not without or name.startswith("single")), without
 
 
-@pytest.mark.parametrize("name", ["single flat", "single spherical", "orders flat", slow("orders spherical")])
+@pytest.mark.parametrize(
+    "name", ["single flat", "single spherical", slow("orders flat"), slow("orders spherical")]
+)
 def test_jit_eager_vmap_and_a_loop_agree(name):
     solver = SOLVERS[name]
-    tiny = SingleScattering(3, solver.geometry) if name.startswith("single") else OrdersOfScattering(2, 2, 2, 2, 3, 2, solver.geometry)
+    tiny = (
+        SingleScattering(3, solver.geometry)
+        if name.startswith("single")
+        else OrdersOfScattering(2, 2, 2, 2, 3, 2, solver.geometry)
+    )
     sky = sky_of(tiny, views([20.0, 70.0], [10.0, 150.0]), np.array([450.0, 550.0, 650.0]))
     atmospheres = [hazy(haze=0.1), hazy(haze=0.4, ground=0.5)]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *atmospheres)
@@ -488,14 +606,27 @@ def test_jit_eager_vmap_and_a_loop_agree(name):
         np.testing.assert_allclose(sky(atmospheres[0], suns[0]), loop[0], rtol=3e-5)
 
 
+@pytest.mark.parametrize("name", ["orders spherical", slow("orders flat")])
+def test_a_batch_of_skies_is_the_loop_over_them(name):
+    zenith, azimuth = np.linspace(0.1, 1.5, 9), np.linspace(0.0, 3.0, 9)
+    atmospheres, suns = [hazy(haze=0.1), hazy(haze=0.4, ground=0.5)], [0.5, 1.2]
+    loop = np.stack(
+        [compiled_sky(name, a, s, zenith, azimuth) for a, s in zip(atmospheres, suns, strict=True)]
+    )
+    batch = jax.jit(
+        jax.vmap(sky_of(SOLVERS[name], skyfit.Directions(zenith, azimuth))), compiler_options=HASTE
+    )(jax.tree.map(lambda *leaves: jnp.stack(leaves), *atmospheres), jnp.array(suns))
+    np.testing.assert_allclose(batch, loop, rtol=3e-5)
+
+
 @pytest.mark.parametrize("name", SOLVERS)
 def test_float32_is_near_float64(name):
     def sky():
-        result = sky_of(SOLVERS[name], views([0.0, 45.0, 85.0], [0.0, 90.0, 180.0]))(hazy(), jnp.asarray(1.1))
-        assert result.dtype == jnp.result_type(float)
-        return np.asarray(result)
+        zenith = np.radians([0.0, 45.0, 85.0])[:, None]
+        return compiled_sky(name, hazy(), 1.1, zenith, 0.3 + np.array([0.0, 1.5, 3.0]))
 
     single = sky()
+    assert single.dtype == np.float32
     with jax.enable_x64(True):
         np.testing.assert_allclose(single, sky(), rtol=3e-4)
 
@@ -526,20 +657,27 @@ def operations(solver, atmosphere, wavelength):
 def test_what_is_absent_costs_nothing(name):
     air, haze, ozone = Rayleigh(), Aerosol(0.1), Ozone()
     atmospheres = [
-        skyfit.Atmosphere(air, None, None), skyfit.Atmosphere(air, None, ozone), skyfit.Atmosphere(air, haze, None),
+        skyfit.Atmosphere(air, None, None),
+        skyfit.Atmosphere(air, None, ozone),
+        skyfit.Atmosphere(air, haze, None),
         skyfit.Atmosphere(air, haze, ozone),
     ]
     alone, with_ozone, with_haze, all_three = (operations(SOLVERS[name], a, COLOURS) for a in atmospheres)
-    for less, more in ((alone, with_ozone), (alone, with_haze), (with_ozone, all_three), (with_haze, all_three)):
+    for less, more in (
+        (alone, with_ozone),
+        (alone, with_haze),
+        (with_ozone, all_three),
+        (with_haze, all_three),
+    ):
         assert less[0] < more[0] and less[1] < more[1]
 
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_a_change_of_value_compiles_nothing(name):
-    sky = jax.jit(sky_of(SOLVERS[name], views([30.0], [0.0])))
-    sky(hazy(), jnp.asarray(0.7))
-    sky(hazy(haze=0.9, ozone=100.0), jnp.asarray(1.2))
-    assert sky._cache_size() == 1
+    compiled_sky(name, hazy(), 0.7, 0.5, 0.0)
+    before = SKIES[name, jnp.result_type(float)]._cache_size()
+    compiled_sky(name, hazy(haze=0.9, ozone=100.0), 1.2, np.array([0.1, 1.0]), 2.0)
+    assert SKIES[name, jnp.result_type(float)]._cache_size() == before == 1
 
 
 def test_a_solver_says_which_geometries_there_are():
@@ -615,7 +753,9 @@ def problems_of_hard_cases(solver, quantity, dtype, reverse=False):
     with jax.enable_x64(dtype == "float64"):
         program, problems = hard_program(solver, quantity, reverse), []
         for case, (sun, changes) in HARD.items():
-            parameters = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), (hazy(**changes), np.radians(sun)))
+            parameters = jax.tree.map(
+                lambda leaf: jnp.asarray(leaf, float), (hazy(**changes), np.radians(sun))
+            )
             values, slopes = program(parameters)
             values = np.asarray(values)
             if not np.all(np.isfinite(values)):
@@ -625,31 +765,60 @@ def problems_of_hard_cases(solver, quantity, dtype, reverse=False):
             leaves = list(zip(names_of(slopes), map(np.asarray, jax.tree.leaves(slopes)), strict=True))
             bad = [leaf for leaf, slope in leaves if not np.all(np.isfinite(slope))]
             if bad:
-                rows = set() if reverse else {int(i[0]) for _, v in leaves for i in np.argwhere(~np.isfinite(v))}
-                problems.append(f"{case}: gradient not finite in {len(bad)} leaves ({bad[0]}), rows {sorted(rows)}")
+                rows = (
+                    set() if reverse else {int(i[0]) for _, v in leaves for i in np.argwhere(~np.isfinite(v))}
+                )
+                problems.append(
+                    f"{case}: gradient not finite in {len(bad)} leaves ({bad[0]}), rows {sorted(rows)}"
+                )
         return problems
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
-@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize(
+    "name, dtype",
+    [
+        ("single flat", "float32"),
+        ("single spherical", "float32"),
+        ("orders flat", "float32"),
+        ("orders spherical", "float32"),
+        ("orders spherical", "float64"),
+        slow("single flat", "float64"),
+        slow("single spherical", "float64"),
+        slow("orders flat", "float64"),
+    ],
+)
 def test_hard_cases_have_finite_values_and_gradients(name, dtype):
     problems = problems_of_hard_cases(SOLVERS[name], "radiance", dtype)
     assert not problems, "\n".join(problems)
 
 
-@pytest.mark.parametrize("name, dtype", [
-    ("single spherical", "float32"), ("orders spherical", "float32"),
-    *(slow(name, dtype) for name in SOLVERS for dtype in ("float32", "float64")),
-])
+@pytest.mark.parametrize(
+    "name, dtype",
+    [
+        ("orders spherical", "float32"),
+        *(
+            slow(name, dtype)
+            for name in SOLVERS
+            for dtype in ("float32", "float64")
+            if (name, dtype) != ("orders spherical", "float32")
+        ),
+    ],
+)
 def test_hard_cases_have_finite_reverse_gradients(name, dtype):
     problems = problems_of_hard_cases(SOLVERS[name], "radiance", dtype, reverse=True)
     assert not problems, "\n".join(problems)
 
 
-@pytest.mark.parametrize("name, dtype", [
-    ("single spherical", "float32"), ("orders flat", "float32"), ("orders spherical", "float32"),
-    slow("single flat", "float32"), *(slow(name, "float64") for name in SOLVERS),
-])
+@pytest.mark.parametrize(
+    "name, dtype",
+    [
+        ("orders spherical", "float32"),
+        slow("single flat", "float32"),
+        slow("single spherical", "float32"),
+        slow("orders flat", "float32"),
+        *(slow(name, "float64") for name in SOLVERS),
+    ],
+)
 def test_fluxes_of_hard_cases_have_finite_values_and_gradients(name, dtype):
     problems = problems_of_hard_cases(SOLVERS[name], "fluxes", dtype)
     assert not problems, "\n".join(problems)
@@ -657,7 +826,7 @@ def test_fluxes_of_hard_cases_have_finite_values_and_gradients(name, dtype):
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_views_below_the_horizon_are_black_and_the_horizon_is_not(x64, name):
-    sky = sky_of(SOLVERS[name], skyfit.Directions(np.radians([89.9, 90.001, 120.0]), np.zeros(3)))(hazy(), jnp.asarray(0.8))
+    sky = compiled_sky(name, hazy(), 0.8, np.radians([89.9, 90.001, 120.0]), 0.0)
     assert np.all(sky[0] > 0.0)
     np.testing.assert_array_equal(sky[1:], 0.0)
 
@@ -665,8 +834,10 @@ def test_views_below_the_horizon_are_black_and_the_horizon_is_not(x64, name):
 @pytest.mark.parametrize("name", SOLVERS)
 def test_twilight_falls_smoothly_through_the_horizon(x64, name):
     """The sky of a sphere does not jump where the sun sets; a flat one is black behind it."""
-    sky = jax.jit(sky_of(SOLVERS[name], views([0.0, 60.0], [0.0, 90.0])))
-    above, below, later = (np.asarray(sky(hazy(), jnp.asarray(np.radians(s)))) for s in (90.0 - 1e-5, 90.0 + 1e-5, 93.0))
+    above, below, later = (
+        compiled_sky(name, hazy(), np.radians(sun), np.array([[0.0], [1.05]]), np.array([0.3, 1.9]))
+        for sun in (90.0 - 1e-5, 90.0 + 1e-5, 93.0)
+    )
     if name.endswith("flat"):
         np.testing.assert_array_equal(below, 0.0)
     else:
@@ -688,29 +859,37 @@ def test_an_absent_scatterer_leaves_a_black_sky(name):
         np.testing.assert_allclose(flux.direct, expected, rtol=2e-3)
 
 
-@pytest.mark.parametrize("name", ["single flat", "single spherical", "orders spherical", slow("orders flat")])
-@pytest.mark.parametrize("atmosphere", [
-    skyfit.Atmosphere(None, Aerosol(0.2), None), slow(skyfit.Atmosphere(Rayleigh(), None, None)),
-    skyfit.Atmosphere(None, Aerosol(0.2), Ozone()),
-], ids=["haze", "air", "haze and ozone"])
+@pytest.mark.parametrize(
+    "name", ["single spherical", "orders spherical", slow("single flat"), slow("orders flat")]
+)
+@pytest.mark.parametrize(
+    "atmosphere",
+    [
+        slow(skyfit.Atmosphere(None, Aerosol(0.2), None)),
+        slow(skyfit.Atmosphere(Rayleigh(), None, None)),
+        skyfit.Atmosphere(None, Aerosol(0.2), Ozone()),
+    ],
+    ids=["haze", "air", "haze and ozone"],
+)
 def test_an_absent_constituent_is_one_of_depth_zero(name, atmosphere):
     alone = SOLVERS[name]
-    scene = unit_scene(50.0, views([10.0, 70.0], [0.0, 90.0]), COLOURS)
-    found = alone.radiance(atmosphere, scene)
+    zenith, azimuth = np.radians([10.0, 70.0, 10.0, 70.0]), np.array([0.3, 0.3, 1.9, 1.9])
+    found = sky_of(alone, skyfit.Directions(zenith, azimuth))(atmosphere, jnp.asarray(0.9))
     whole = skyfit.Atmosphere(
-        atmosphere.rayleigh or Rayleigh(0.0), atmosphere.aerosol or Aerosol(0.0), atmosphere.ozone or Ozone(0.0)
+        atmosphere.rayleigh or Rayleigh(0.0),
+        atmosphere.aerosol or Aerosol(0.0),
+        atmosphere.ozone or Ozone(0.0),
     )
     assert np.all(found > 0.0) and np.all(np.isfinite(found))
     # the nodes move with the scatterers present
-    np.testing.assert_allclose(found, alone.radiance(whole, scene), rtol=0.05)
+    np.testing.assert_allclose(found, compiled_sky(name, whole, 0.9, zenith, azimuth), rtol=0.05)
 
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_angles_below_a_microradian_do_not_matter(name):
     """Views at the zenith and into the sun: no special direction in the radiance."""
-    suns = 0.6
-    offsets = np.array([0.0, 1e-6, 1e-4])
-    sky = sky_of(SOLVERS[name], skyfit.Directions(suns + offsets, np.full(3, 0.3)))(hazy(), jnp.asarray(suns))
+    offset = np.array([0.0, 1e-6, 1e-4])
+    sky = compiled_sky(name, hazy(), 0.6, 0.6 + offset, 0.3)
     np.testing.assert_allclose(sky, sky[:1] * np.ones((3, 1), np.float32), rtol=2e-3)
-    sky = sky_of(SOLVERS[name], skyfit.Directions(offsets[:2], np.array([0.0, 2.0])))(hazy(), jnp.asarray(suns))
+    sky = compiled_sky(name, hazy(), 0.6, offset[:2], np.array([0.0, 2.0]))
     np.testing.assert_allclose(sky[0], sky[1], rtol=1e-4)

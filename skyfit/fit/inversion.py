@@ -96,10 +96,9 @@ def invert(
     arrays: dict[str, Any] = {name: np.array(rows) for name, rows in columns.items() if name not in lists}
     words: dict[str, Any] = {name: tuple(columns[name]) for name in lists}
     everything = values_of(start, PARAMETERS)
-    hidden = {"turbidity"} if "aerosol_optical_depth" in free else {"aerosol_optical_depth"}
+    # one quantity under two names: never both
+    hidden = {"aerosol_optical_depth"} if "turbidity" in free else {"turbidity"}
     kept = {n: v for n, v in everything.items() if n not in free and n not in hidden}
-    if "turbidity" not in free:
-        kept.pop("turbidity", None)
     return Fit(
         sky=sky, solver=solver, free=free, used=used, start=start, fwhm_nm=float(fwhm_nm), notes=tuple(notes),
         fixed=kept, **arrays, **words,
@@ -120,6 +119,8 @@ def predict(fitted: Fitted, sky: Sky) -> np.ndarray:
 
 def _matching(fitted_time: np.ndarray, time: np.ndarray, index: int) -> int:
     wanted = time[index]
+    if len(fitted_time) == len(time) and np.array_equal(fitted_time, time, equal_nan=True):
+        return index
     if len(fitted_time) == 1 and len(time) == 1 and (np.isnat(wanted) or np.isnat(fitted_time[0])):
         return 0
     near = np.flatnonzero(np.abs(fitted_time - wanted) <= np.timedelta64(1, "s"))

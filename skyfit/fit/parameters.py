@@ -10,9 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..atmosphere import (
-    Aerosol,
     Atmosphere,
-    Ground,
     HenyeyGreenstein,
     optical_depth_to_turbidity,
     turbidity_to_optical_depth,
@@ -135,15 +133,15 @@ _TWO_TERM = ("asymmetry_second", "forward_fraction")
 
 
 def start_model(free: tuple[str, ...], pressure: float) -> SkyModel:
-    """The model a fit starts from: haze of optical depth 0.15; two lobes if a second one is to be fitted.
+    """The model a fit starts from: the defaults of `Atmosphere.from_optical_depth`, optical depth 0.15.
+
+    The phase function has two lobes if a second one is to be fitted.
 
     **Arguments:** names that are free; `pressure` of the station, Pa. **Returns:** a `SkyModel`.
     """
     two_terms = any(name in free for name in _TWO_TERM)
-    phase = TwoTermHenyeyGreenstein(0.75, 0.1, 0.8) if two_terms else HenyeyGreenstein(0.68)
-    aerosol = Aerosol(optical_depth=0.15, single_scattering_albedo=0.92, phase=phase)
-    atmosphere = Atmosphere(aerosol=aerosol, ground=Ground(albedo=0.15))
-    model = SkyModel(atmosphere)
+    phase = TwoTermHenyeyGreenstein(0.75, 0.1, 0.8) if two_terms else HenyeyGreenstein(0.7)
+    model = SkyModel(Atmosphere.from_optical_depth(0.15, phase=phase))
     return eqx.tree_at(lambda m: m.atmosphere.rayleigh.pressure, model, as_float(pressure))
 
 
