@@ -64,13 +64,9 @@ def test_phi_functions_and_their_derivatives_keep_their_digits(dtype, tolerance)
     with jax.enable_x64(dtype == "float64"):
         x = jnp.asarray(ARGUMENTS, dtype)
         found = phi1(x), phi2(x), jax.vmap(jax.grad(phi1))(x), jax.vmap(jax.grad(phi2))(x)
-        for i, (result, expected) in enumerate(
-            zip(found, moments_of_exponential(np.asarray(x)), strict=True)
-        ):
+        for i, (result, expected) in enumerate(zip(found, moments_of_exponential(np.asarray(x)), strict=True)):
             # a derivative divides once more by x: some digits more are lost at the switch
-            np.testing.assert_allclose(
-                result, expected, rtol=tolerance * (1 if i < 2 else 30), err_msg=str(i)
-            )
+            np.testing.assert_allclose(result, expected, rtol=tolerance * (1 if i < 2 else 30), err_msg=str(i))
             assert result.dtype == dtype
 
 
@@ -160,8 +156,7 @@ def test_the_addition_theorem_holds(x64):
     first, second, turn = 0.7, 1.9, 2.3
     degrees = 12
     one, two = (
-        associated_legendre(jnp.cos(z), jnp.sin(z), degrees, degrees)
-        for z in (jnp.asarray(first), jnp.asarray(second))
+        associated_legendre(jnp.cos(z), jnp.sin(z), degrees, degrees) for z in (jnp.asarray(first), jnp.asarray(second))
     )
     mode = np.arange(degrees)
     expected = np.cos(first) * np.cos(second) + np.sin(first) * np.sin(second) * np.cos(turn)
@@ -178,9 +173,7 @@ def test_legendre_gradients_are_finite_at_the_zenith_and_the_horizon(x64):
     for zenith in (0.0, 0.5 * np.pi, np.pi, 0.8):
         forward = jax.jacfwd(everything)(jnp.asarray(zenith))
         step = 1e-6
-        central = (everything(jnp.asarray(zenith + step)) - everything(jnp.asarray(zenith - step))) / (
-            2.0 * step
-        )
+        central = (everything(jnp.asarray(zenith + step)) - everything(jnp.asarray(zenith - step))) / (2.0 * step)
         np.testing.assert_allclose(forward, central, atol=1e-8 * float(jnp.max(jnp.abs(forward))))
 
 

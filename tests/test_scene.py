@@ -113,9 +113,7 @@ def test_a_scene_looks_its_spectrum_up():
     near = Scene.from_degrees(30.0, view, wavelength, day_of_year=3)
     far = Scene.from_degrees(30.0, view, wavelength, day_of_year=185)
     # perihelion against aphelion: ((1 + e) / (1 - e))^2, e = 0.0167
-    np.testing.assert_allclose(
-        near.solar_irradiance / far.solar_irradiance, (1.0167 / 0.9833) ** 2, rtol=2e-3
-    )
+    np.testing.assert_allclose(near.solar_irradiance / far.solar_irradiance, (1.0167 / 0.9833) ** 2, rtol=2e-3)
     unit = Scene.from_degrees(30.0, view, wavelength, irradiance="unit")
     np.testing.assert_array_equal(unit.solar_irradiance, [1.0, 1.0])
     given = Scene.from_degrees(30.0, view, wavelength, irradiance=np.array([2.0, 3.0]))

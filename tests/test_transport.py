@@ -39,9 +39,7 @@ def slow(*values):
 
 
 def views(zenith, azimuth):
-    return skyfit.Directions.from_degrees(
-        np.asarray(zenith, float)[:, None], np.asarray(azimuth, float)[None]
-    )
+    return skyfit.Directions.from_degrees(np.asarray(zenith, float)[:, None], np.asarray(azimuth, float)[None])
 
 
 def haze_over_air(air, haze, asymmetry=0.7, albedo_single=0.9, ground=0.0, haze_height=1200.0):
@@ -85,14 +83,10 @@ def flat_integral(sun, view, azimuth, depths, heights, albedos):
         share = [np.exp(-height / h) for h in heights]
         above = sum(t * s for t, s in zip(depths, share, strict=True))
         attenuation = np.exp(-(sum(depths) - above) / mu - above / mu_sun)
-        emitted = sum(
-            p * a * t * s / h for p, a, t, s, h in zip(phases, albedos, depths, share, heights, strict=True)
-        )
+        emitted = sum(p * a * t * s / h for p, a, t, s, h in zip(phases, albedos, depths, share, heights, strict=True))
         return emitted * attenuation / mu
 
-    return quad(integrand, 0.0, 3e5, points=[100.0, 1e3, 5e3, 2e4, 6e4], epsabs=0.0, epsrel=1e-10, limit=400)[
-        0
-    ]
+    return quad(integrand, 0.0, 3e5, points=[100.0, 1e3, 5e3, 2e4, 6e4], epsabs=0.0, epsrel=1e-10, limit=400)[0]
 
 
 def test_flat_single_scattering_is_the_integral(x64):
@@ -100,9 +94,7 @@ def test_flat_single_scattering_is_the_integral(x64):
     zenith, azimuth = [0.0, 40.0, 75.0, 85.0], [0.0, 90.0, 180.0]
     for sun in (0.0, 50.0, 80.0, 88.0):
         expected = [[flat_integral(sun, v, a, depths, heights, albedos) for a in azimuth] for v in zenith]
-        found = SingleScattering.fine("flat").radiance(
-            haze_over_air(*depths), unit_scene(sun, views(zenith, azimuth))
-        )
+        found = SingleScattering.fine("flat").radiance(haze_over_air(*depths), unit_scene(sun, views(zenith, azimuth)))
         np.testing.assert_allclose(found[:, 0], np.ravel(expected), rtol=1e-5)
 
 
@@ -136,9 +128,7 @@ def spherical_integral(sun, view, azimuth, depths, heights, albedos):
     distance, weight = panels(start, np.geomspace(200.0, 2e6, 14), 12)
     points = eye + distance[:, None] * viewward
     before, before_weight = panels(0.0, np.linspace(0.0, 1.0, 9)[1:])
-    to_eye = np.array(
-        [d * before_weight @ density(eye + d * before[:, None] * viewward).sum(-1) for d in distance]
-    )
+    to_eye = np.array([d * before_weight @ density(eye + d * before[:, None] * viewward).sum(-1) for d in distance])
     # toward the sun, from the point of the line that lies nearest to the Earth's centre
     along = points @ sunward
     outward, outward_weight = panels(0.0, np.geomspace(200.0, 3e6, 14))
@@ -151,9 +141,7 @@ def spherical_integral(sun, view, azimuth, depths, heights, albedos):
             return to_space(point, sunward)
         nearest = point - behind * sunward
         back = behind * before
-        return to_space(nearest, sunward) - behind * before_weight @ density(
-            nearest + back[:, None] * sunward
-        ).sum(-1)
+        return to_space(nearest, sunward) - behind * before_weight @ density(nearest + back[:, None] * sunward).sum(-1)
 
     to_the_sun = np.array([to_sun(p, b) for p, b in zip(points, along, strict=True)])
     phases = np.array(phase_functions(sunward @ viewward))
@@ -171,9 +159,7 @@ def test_the_independent_integral_is_good_to_a_part_in_a_million():
 def test_spherical_single_scattering_is_the_integral(x64, sun):
     depths, heights, albedos = (0.25, 0.3), (8000.0, 1200.0), (1.0, 0.9)
     zenith, azimuth = [0.0, 45.0, 80.0], [10.0, 90.0, 170.0]
-    expected = np.ravel(
-        [[spherical_integral(sun, v, a, depths, heights, albedos) for a in azimuth] for v in zenith]
-    )
+    expected = np.ravel([[spherical_integral(sun, v, a, depths, heights, albedos) for a in azimuth] for v in zenith])
     scene = unit_scene(sun, views(zenith, azimuth))
     fine = SingleScattering.fine("spherical").radiance(haze_over_air(*depths), scene)[:, 0]
     np.testing.assert_allclose(fine, expected, rtol=1e-3)
@@ -212,9 +198,7 @@ def test_spherical_quadrature_converges_in_nodes(x64):
 def test_a_thin_sky_is_its_optical_depth_over_the_cosine(x64, name):
     """L -> E0 sum p omega tau / mu; the second order is tau times smaller."""
     thin, sun, zenith, azimuth = 1e-7, 40.0, [0.0, 30.0, 60.0], [0.0, 120.0]
-    found = SOLVERS[name].radiance(haze_over_air(thin, 2.0 * thin), unit_scene(sun, views(zenith, azimuth)))[
-        :, 0
-    ]
+    found = SOLVERS[name].radiance(haze_over_air(thin, 2.0 * thin), unit_scene(sun, views(zenith, azimuth)))[:, 0]
     expected = []
     for view in zenith:
         for turn in azimuth:
@@ -243,9 +227,7 @@ def test_the_sky_is_symmetric_about_the_suns_meridian_and_turns_with_it(x64, nam
 
     def sky(turn, sign):
         view = views(zenith, turn + sign * azimuth)
-        return SOLVERS[name].radiance(
-            atmosphere, skyfit.Scene.from_degrees(55.0, view, ONE, turn, irradiance="unit")
-        )
+        return SOLVERS[name].radiance(atmosphere, skyfit.Scene.from_degrees(55.0, view, ONE, turn, irradiance="unit"))
 
     first = sky(0.0, 1.0)
     np.testing.assert_allclose(sky(0.0, -1.0), first, rtol=1e-10)
@@ -274,9 +256,7 @@ def test_orders_exceed_single_scattering_and_brighten_with_the_ground():
 
 @pytest.fixture(scope="module")
 def oracle_check(checkout):
-    spec = importlib.util.spec_from_file_location(
-        "oracle_check", checkout / "experiments" / "oracle_check.py"
-    )
+    spec = importlib.util.spec_from_file_location("oracle_check", checkout / "experiments" / "oracle_check.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -343,7 +323,7 @@ def total_down(solver, atmosphere, suns, wavelength):
 
 @pytest.mark.parametrize("air, haze, asymmetry", [(0.3, 0.0, 0.0), (0.2, 0.5, 0.7), (0.05, 1.5, 0.8)])
 def test_no_light_is_lost_without_absorption(x64, air, haze, asymmetry):
-    r"""A sky over a Lambertian ground gives $G(A) = G(0) / (1 - s A)$; a conservative one has $1 - s = 2\int G_0 d\mu$."""
+    r"""Over a Lambertian ground $G(A) = G(0) / (1 - s A)$; without absorption $1 - s = 2\int G_0 d\mu$."""
     x, weight = np.polynomial.legendre.leggauss(12)
     mu, weight = 0.5 * (x + 1.0), 0.5 * weight
     wavelength, ground = jnp.asarray(ONE), []
@@ -363,8 +343,7 @@ def test_no_light_is_lost_without_absorption(x64, air, haze, asymmetry):
 def test_absorption_takes_light_away(x64):
     suns, wavelength = jnp.deg2rad(jnp.array([20.0, 60.0])), jnp.asarray(ONE)
     clear, sooty = (
-        total_down(DEEP, haze_over_air(0.1, 0.5, 0.7, w, 0.3), suns, wavelength).diffuse_down
-        for w in (1.0, 0.6)
+        total_down(DEEP, haze_over_air(0.1, 0.5, 0.7, w, 0.3), suns, wavelength).diffuse_down for w in (1.0, 0.6)
     )
     assert np.all(sooty < clear)
 
@@ -423,12 +402,8 @@ def test_an_overcast_sky_has_the_light_of_pythonic_disort(x64, depth, single_alb
     )
     haze = Prescribed(np.array([depth]), Exponential(8000.0), HenyeyGreenstein(0.7), single_albedo)
     atmosphere = skyfit.Atmosphere(haze, None, None, Ground(0.0))
-    found = total_down(
-        OrdersOfScattering.normal("flat"), atmosphere, jnp.arccos(jnp.array([mu])), jnp.asarray(ONE)
-    )
-    assert float(found.diffuse_down[0, 0]) == pytest.approx(
-        float(np.squeeze(down(np.array([depth]))[0])), rel=0.02
-    )
+    found = total_down(OrdersOfScattering.normal("flat"), atmosphere, jnp.arccos(jnp.array([mu])), jnp.asarray(ONE))
+    assert float(found.diffuse_down[0, 0]) == pytest.approx(float(np.squeeze(down(np.array([depth]))[0])), rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -515,9 +490,7 @@ def sky_of(solver, view, wavelength=COLOURS):
     """A function of the atmosphere and the sun's zenith angle in radians."""
 
     def sky(atmosphere, sun):
-        return solver.radiance(
-            atmosphere, skyfit.Scene(sun, 0.3, view, wavelength, jnp.ones(len(wavelength)))
-        )
+        return solver.radiance(atmosphere, skyfit.Scene(sun, 0.3, view, wavelength, jnp.ones(len(wavelength))))
 
     return sky
 
@@ -579,15 +552,11 @@ def test_gradients_are_central_differences_for_every_parameter(x64, name, revers
             expected = float(jnp.sum(weight * forward[i]))
             assert float(backward[i]) == pytest.approx(expected, abs=1e-9 * largest * weight.size), leaf
     # no parameter is lost on the way, but for the ground in single scattering
-    without = [
-        leaf for i, leaf in enumerate(names_of(start)) if float(jnp.max(jnp.abs(forward[i]))) < 1e-7 * largest
-    ]
+    without = [leaf for i, leaf in enumerate(names_of(start)) if float(jnp.max(jnp.abs(forward[i]))) < 1e-7 * largest]
     assert all("ground" in leaf for leaf in without) and (not without or name.startswith("single")), without
 
 
-@pytest.mark.parametrize(
-    "name", ["single flat", "single spherical", slow("orders flat"), slow("orders spherical")]
-)
+@pytest.mark.parametrize("name", ["single flat", "single spherical", slow("orders flat"), slow("orders spherical")])
 def test_jit_eager_vmap_and_a_loop_agree(name):
     solver = SOLVERS[name]
     tiny = (
@@ -610,12 +579,10 @@ def test_jit_eager_vmap_and_a_loop_agree(name):
 def test_a_batch_of_skies_is_the_loop_over_them(name):
     zenith, azimuth = np.linspace(0.1, 1.5, 9), np.linspace(0.0, 3.0, 9)
     atmospheres, suns = [hazy(haze=0.1), hazy(haze=0.4, ground=0.5)], [0.5, 1.2]
-    loop = np.stack(
-        [compiled_sky(name, a, s, zenith, azimuth) for a, s in zip(atmospheres, suns, strict=True)]
+    loop = np.stack([compiled_sky(name, a, s, zenith, azimuth) for a, s in zip(atmospheres, suns, strict=True)])
+    batch = jax.jit(jax.vmap(sky_of(SOLVERS[name], skyfit.Directions(zenith, azimuth))), compiler_options=HASTE)(
+        jax.tree.map(lambda *leaves: jnp.stack(leaves), *atmospheres), jnp.array(suns)
     )
-    batch = jax.jit(
-        jax.vmap(sky_of(SOLVERS[name], skyfit.Directions(zenith, azimuth))), compiler_options=HASTE
-    )(jax.tree.map(lambda *leaves: jnp.stack(leaves), *atmospheres), jnp.array(suns))
     np.testing.assert_allclose(batch, loop, rtol=3e-5)
 
 
@@ -753,9 +720,7 @@ def problems_of_hard_cases(solver, quantity, dtype, reverse=False):
     with jax.enable_x64(dtype == "float64"):
         program, problems = hard_program(solver, quantity, reverse), []
         for case, (sun, changes) in HARD.items():
-            parameters = jax.tree.map(
-                lambda leaf: jnp.asarray(leaf, float), (hazy(**changes), np.radians(sun))
-            )
+            parameters = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), (hazy(**changes), np.radians(sun)))
             values, slopes = program(parameters)
             values = np.asarray(values)
             if not np.all(np.isfinite(values)):
@@ -765,12 +730,8 @@ def problems_of_hard_cases(solver, quantity, dtype, reverse=False):
             leaves = list(zip(names_of(slopes), map(np.asarray, jax.tree.leaves(slopes)), strict=True))
             bad = [leaf for leaf, slope in leaves if not np.all(np.isfinite(slope))]
             if bad:
-                rows = (
-                    set() if reverse else {int(i[0]) for _, v in leaves for i in np.argwhere(~np.isfinite(v))}
-                )
-                problems.append(
-                    f"{case}: gradient not finite in {len(bad)} leaves ({bad[0]}), rows {sorted(rows)}"
-                )
+                rows = set() if reverse else {int(i[0]) for _, v in leaves for i in np.argwhere(~np.isfinite(v))}
+                problems.append(f"{case}: gradient not finite in {len(bad)} leaves ({bad[0]}), rows {sorted(rows)}")
         return problems
 
 
@@ -859,9 +820,7 @@ def test_an_absent_scatterer_leaves_a_black_sky(name):
         np.testing.assert_allclose(flux.direct, expected, rtol=2e-3)
 
 
-@pytest.mark.parametrize(
-    "name", ["single spherical", "orders spherical", slow("single flat"), slow("orders flat")]
-)
+@pytest.mark.parametrize("name", ["single spherical", "orders spherical", slow("single flat"), slow("orders flat")])
 @pytest.mark.parametrize(
     "atmosphere",
     [

@@ -332,10 +332,11 @@ def _radiance(solver: OrdersOfScattering, atmosphere: Atmosphere, scene: Scene):
     single = sum(p * scattered[:, j, :count] for j, p in enumerate(phases))
     multiple = _multiple(solver, atmosphere, scene, nodes)
     if interpolated:
-        # multiple over isotropic single scattering is smooth in wavelength
+        # the log of multiple over isotropic single scattering is smooth in wavelength, even at sunset
         isotropic = jnp.sum(scattered, axis=1) + 1e-30
+        ratio = jnp.log(jnp.maximum(multiple / isotropic[:, count:], 1e-12))
         weights = chebyshev_weights(_unit_log(wavelength, wavelength), few)
-        multiple = ((multiple / isotropic[:, count:]) @ weights.T) * isotropic[:, :count]
+        multiple = jnp.exp(ratio @ weights.T) * isotropic[:, :count]
     return (single + multiple) * scene.solar_irradiance[None]
 
 
