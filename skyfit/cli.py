@@ -83,6 +83,7 @@ Longitude = Annotated[float | None, typer.Option(help="degrees east, if the file
 UtcOffset = Annotated[float | None, typer.Option(help="hours of local time ahead of UTC (EDT: -4)")]
 Altitude = Annotated[float | None, typer.Option(help="of the station, metres")]
 FreeOption = Annotated[str, typer.Option(help=f"with commas, of: {', '.join(PARAMETERS)}")]
+DEFAULT_FREE_TEXT = ",".join(DEFAULT_FREE)
 LineShape = Annotated[float | None, typer.Option(help="Gaussian line shape of the instrument, nm")]
 
 
@@ -232,7 +233,7 @@ def _draw_refit(result: Refit, path: Path) -> None:
 def invert_command(
     sky: Annotated[Path, typer.Argument(help="NetCDF, CSV or a folder of ASD text exports")],
     out: OutFolder,
-    free: FreeOption = ",".join(DEFAULT_FREE),
+    free: FreeOption = DEFAULT_FREE_TEXT,
     fix: Annotated[list[str] | None, typer.Option(help="name=value of a parameter that is known")] = None,
     latitude: Latitude = None,
     longitude: Longitude = None,

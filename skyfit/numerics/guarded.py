@@ -41,7 +41,9 @@ def exp_mean(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..
     **Valid:** x, y >= 0.
     **Source:** divided difference of the exponential.
     """
-    return jnp.exp(-jnp.minimum(x, y)) * phi1(jnp.abs(x - y))
+    # chosen by one comparison, so that the gradient at x = y is that of one branch
+    low, high = jnp.where(x < y, x, y), jnp.where(x < y, y, x)
+    return jnp.exp(-low) * phi1(high - low)
 
 
 def safe_sqrt(x: Float[Array, "..."]) -> Float[Array, "..."]:

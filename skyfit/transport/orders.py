@@ -19,13 +19,12 @@ from ..numerics import (
     phi_functions,
 )
 from ..scene import Scene
-from .optical_path import layer_airmass, slant_column, stream_paths, sunlit
+from .optical_path import above_horizon, layer_airmass, slant_column, stream_paths, sunlit
 from .single import (
-    attenuated_sources,
-    phase_values,
     scatterer_indices,
+    single_scattering,
+    sun_depth,
     transmitted_sun,
-    view_path,
 )
 from .solver import AbstractSolver, check_geometry, Fluxes, Geometry, optics
 
@@ -33,6 +32,8 @@ from .solver import AbstractSolver, check_geometry, Fluxes, Geometry, optics
 # m, where the layers end
 TOP_OF_ATMOSPHERE = 100e3
 _HEIGHT_TABLE = 512
+# sr^-1, per unit irradiance; what is darker counts as black
+_DARK = 1e-30
 
 
 class OrdersOfScattering(AbstractSolver):
@@ -98,13 +99,13 @@ class OrdersOfScattering(AbstractSolver):
         """
         constituents = atmosphere.constituents
         extinction = optics(constituents, scene.wavelength_nm).extinction
-        layers = _layers(self, atmosphere, scene, scene.wavelength_nm)
-        field = _solve(self, layers)
-        beam = transmitted_sun(constituents, scene, extinction, self.geometry)
         sun = jnp.maximum(jnp.cos(scene.sun_zenith), 0.0)
-        direct = sun * beam
-        diffuse = field.ground_flux + sun * layers.beam[-1] - direct
-        up = layers.ground_albedo * (direct + diffuse)
+        direct = sun * transmitted_sun(constituents, scene, extinction, self.geometry)
+        diffuse = jnp.zeros_like(direct)
+        if scatterer_indices(constituents):
+            layers = _layers(self, atmosphere, scene, scene.wavelength_nm)
+            diffuse = _solve(self, layers).ground_flux + sun * layers.beam[-1] - direct
+        up = atmosphere.ground.reflectance(scene.wavelength_nm) * (direct + diffuse)
         irradiance = scene.solar_irradiance
         return Fluxes(direct * irradiance, diffuse * irradiance, up * irradiance)
 
@@ -262,7 +263,9 @@ def _solve(solver: OrdersOfScattering, layers: _Layers) -> _Field:
         down_source = down_entry * to_streams(above) + down_leave * to_streams(below)
         up_source = up_leave * to_streams(parity * above) + up_entry * to_streams(parity * below)
         new, flux, top = transport(down_source, up_source, jnp.zeros_like(layers.beam[-1]))
-        ratio = jnp.sum(new[0, 0], axis=0) / jnp.maximum(jnp.sum(moments[0, 0], axis=0), 1e-30)
+        before = jnp.sum(moments[0, 0], axis=0)
+        lit = before > _DARK
+        ratio = jnp.where(lit, jnp.sum(new[0, 0], axis=0) / jnp.where(lit, before, 1.0), 0.0)
         carry = (new, total + new, flux_total + flux, top_total + top)
         return carry, (ratio, flux, top)
 
@@ -309,7 +312,7 @@ def _multiple(
         field.moments[:, :, 1:]
     )
     radiance = jnp.sum(jnp.exp(-below) * slant * per_layer, axis=1)
-    return jnp.where((view.zenith < 0.5 * np.pi)[:, None], radiance, 0.0)
+    return jnp.where(above_horizon(view.zenith)[:, None], radiance, 0.0)
 
 
 def _radiance(solver: OrdersOfScattering, atmosphere: Atmosphere, scene: Scene):
@@ -318,35 +321,31 @@ def _radiance(solver: OrdersOfScattering, atmosphere: Atmosphere, scene: Scene):
     wavelength = scene.wavelength_nm
     if not scatterers:
         return jnp.zeros((scene.view.zenith.shape[0], wavelength.shape[0]))
+    extinction = _scaled_optics(constituents, wavelength, 2 * solver.streams).extinction
+    single = single_scattering(constituents, scene, extinction, solver.nodes, solver.geometry)
     few = solver.spectral_nodes
-    interpolated = 0 < few < wavelength.shape[0] and atmosphere.smooth_in_wavelength
-    nodes = _spectral_nodes(wavelength, few) if interpolated else wavelength
-    everywhere = jnp.concatenate([wavelength, nodes]) if interpolated else wavelength
-    count = wavelength.shape[0]
-    depth = optics(constituents, everywhere)
-    scaled = _scaled_optics(constituents, everywhere, 2 * solver.streams)
-    path = view_path(constituents, scene, solver.nodes, solver.geometry)
-    integral = attenuated_sources(path, scaled.extinction, scatterers)
-    scattered = integral * jnp.stack([depth.scattering[i] for i in scatterers])[None]
-    phases = phase_values(constituents, scene, wavelength)
-    single = sum(p * scattered[:, j, :count] for j, p in enumerate(phases))
-    multiple = _multiple(solver, atmosphere, scene, nodes)
-    if interpolated:
-        # the log of multiple over isotropic single scattering is smooth in wavelength, even at sunset
-        isotropic = jnp.sum(scattered, axis=1) + 1e-30
-        ratio = jnp.log(jnp.maximum(multiple / isotropic[:, count:], 1e-12))
-        weights = chebyshev_weights(_unit_log(wavelength, wavelength), few)
-        multiple = jnp.exp(ratio @ weights.T) * isotropic[:, :count]
+    if 0 < few < wavelength.shape[0] and atmosphere.smooth_in_wavelength:
+        multiple = _interpolated_multiple(solver, atmosphere, scene)
+    else:
+        multiple = _multiple(solver, atmosphere, scene, wavelength)
     return (single + multiple) * scene.solar_irradiance[None]
 
 
-def _unit_log(wavelength, scene_wavelength):
-    """Log wavelength mapped to [-1, 1] over the scene's range."""
-    low, high = jnp.log(jnp.min(scene_wavelength)), jnp.log(jnp.max(scene_wavelength))
-    return (2.0 * jnp.log(wavelength) - low - high) / jnp.maximum(high - low, 1e-9)
-
-
-def _spectral_nodes(wavelength, count: int):
-    """Wavelengths at Chebyshev nodes of log wavelength over the scene's range."""
+def _interpolated_multiple(solver: OrdersOfScattering, atmosphere: Atmosphere, scene: Scene):
+    """Multiple scattering solved at a few wavelengths: its log is smooth, absorption on the sun's path apart."""
+    wavelength, few = scene.wavelength_nm, solver.spectral_nodes
     low, high = jnp.log(jnp.min(wavelength)), jnp.log(jnp.max(wavelength))
-    return jnp.exp(0.5 * (low + high) + 0.5 * (high - low) * jnp.asarray(chebyshev_nodes(count), wavelength.dtype))
+    unit = jnp.asarray(chebyshev_nodes(few), wavelength.dtype)
+    nodes = jnp.exp(0.5 * (low + high) + 0.5 * (high - low) * unit)
+    place = (2.0 * jnp.log(wavelength) - low - high) / jnp.maximum(high - low, 1e-9)
+    absorbers = tuple(c for c in atmosphere.constituents if c.phase is None)
+
+    def absorption(wavelengths):
+        depth = optics(absorbers, wavelengths).extinction
+        return sun_depth(absorbers, scene, depth, solver.geometry)
+
+    multiple = _multiple(solver, atmosphere, scene, nodes)
+    dark = multiple < _DARK
+    smooth = jnp.log(jnp.where(dark, _DARK, multiple)) + absorption(nodes)[None]
+    everywhere = jnp.exp(smooth @ chebyshev_weights(place, few).T - absorption(wavelength)[None])
+    return jnp.where(jnp.all(dark, axis=1)[:, None], 0.0, everywhere)

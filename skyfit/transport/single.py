@@ -11,6 +11,7 @@ from ..atmosphere import AbstractConstituent, Atmosphere
 from ..numerics import gauss_legendre
 from ..scene import Directions, haversine, Scene
 from .optical_path import (
+    above_horizon,
     EARTH_RADIUS,
     exponential_nodes,
     height_gain,
@@ -39,7 +40,6 @@ def view_path(
     dimensionless, zero in the Earth's shadow; `column` is normalised to the vertical column.
     """
     zenith, azimuth = scene.view.zenith, scene.view.azimuth
-    above_horizon = zenith < 0.5 * np.pi
     cosine = jnp.maximum(jnp.cos(zenith), 0.0 if geometry == "spherical" else MIN_COSINE)
     sun_cosine = jnp.cos(scene.sun_zenith)
     to_sun = 1.0 - 2.0 * haversine(zenith, scene.sun_zenith, azimuth - scene.sun_azimuth)
@@ -59,7 +59,7 @@ def view_path(
         radius = EARTH_RADIUS + height
         view_cosine = (EARTH_RADIUS * cosine[:, None] + distance) / radius
         local_sun = (EARTH_RADIUS * sun_cosine + distance * to_sun[:, None]) / radius
-    lit = sunlit(height, local_sun, geometry) & above_horizon[:, None]
+    lit = sunlit(height, local_sun, geometry) & above_horizon(zenith)[:, None]
     source = jnp.stack([jnp.where(lit, step * c.profile.density(height), 0.0) for c in constituents])
     ground = jnp.zeros_like(cosine)
     column = jnp.stack(
@@ -80,26 +80,33 @@ def _shadow_length(cosine, sun_cosine, to_sun):
     across = cosine - below * to_sun
     sine_square = jnp.maximum(1.0 - to_sun**2, 0.0)
     root = jnp.sqrt(jnp.maximum(across**2 + sine_square * below**2, 1e-30))
-    return EARTH_RADIUS * below**2 / jnp.maximum(across + root, 1e-9)
+    # no further than 1e8 m, where no air is left
+    return EARTH_RADIUS * below**2 / jnp.maximum(across + root, 0.06 * below**2 + 1e-9)
 
 
-def attenuated_sources(
-    path: ViewPath,
+def single_scattering(
+    constituents: tuple[AbstractConstituent, ...],
+    scene: Scene,
     extinction: Float[Array, "constituent wavelength"],
-    scatterers: tuple[int, ...],
-) -> Float[Array, "direction scatterer wavelength"]:
-    """Each scatterer's density integrated along the view with the transmittance eye - point - sun."""
-    transmittance = jnp.exp(-(path.column @ extinction))
-    source = jnp.stack([path.source[i] for i in scatterers], axis=1)
-    return source @ transmittance
+    nodes: int,
+    geometry: Geometry,
+) -> Float[Array, "direction wavelength"]:
+    """Radiance of sunlight that is scattered once, per unit solar irradiance, sr^-1.
 
-
-def phase_values(
-    constituents: tuple[AbstractConstituent, ...], scene: Scene, wavelength_nm: Float[Array, " wavelength"]
-) -> list[Float[Array, " direction #wavelength"]]:
-    """Each scatterer's phase function at the angle between view and sun, sr^-1."""
+    **Arguments:** `extinction`, optical depths that attenuate (a delta-M solver passes its scaled ones; what
+    scatters is unscaled); `nodes`, points per view. **Returns:** `[direction, wavelength]`.
+    """
+    path = view_path(constituents, scene, nodes, geometry)
+    scattering = optics(constituents, scene.wavelength_nm).scattering
     half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)
-    return [c.phase.value(half, wavelength_nm) for c in constituents if c.phase is not None]
+    transmittance = jnp.exp(-(path.column @ extinction))
+    integral = jnp.stack([path.source[i] for i in scatterer_indices(constituents)], axis=1) @ transmittance
+    total, row = jnp.zeros_like(integral[:, 0]), 0
+    for c, depth in zip(constituents, scattering, strict=True):
+        if c.phase is not None:
+            total = total + c.phase.value(half, scene.wavelength_nm) * depth[None] * integral[:, row]
+            row += 1
+    return total
 
 
 def scatterer_indices(constituents: tuple[AbstractConstituent, ...]) -> tuple[int, ...]:
@@ -115,9 +122,22 @@ def transmitted_sun(
 ) -> Float[Array, " wavelength"]:
     """Direct transmittance from space to the ground toward the sun; 0 with the sun below the horizon."""
     cosine = jnp.cos(scene.sun_zenith)
+    return jnp.where(cosine > 0.0, jnp.exp(-sun_depth(constituents, scene, extinction, geometry)), 0.0)
+
+
+def sun_depth(
+    constituents: tuple[AbstractConstituent, ...],
+    scene: Scene,
+    extinction: Float[Array, "constituent wavelength"],
+    geometry: Geometry,
+) -> Float[Array, " wavelength"]:
+    """The optical depth from the ground toward the sun; below the horizon, past the tangent point."""
+    cosine = jnp.cos(scene.sun_zenith)
     ground = jnp.zeros_like(cosine)
-    column = jnp.stack([slant_column(c.profile, ground, cosine, geometry) for c in constituents])
-    return jnp.where(cosine > 0.0, jnp.exp(-(column @ extinction)), 0.0)
+    depth = jnp.zeros(extinction.shape[1], extinction.dtype)
+    for c, vertical in zip(constituents, extinction, strict=True):
+        depth = depth + slant_column(c.profile, ground, cosine, geometry) * vertical
+    return depth
 
 
 class SingleScattering(AbstractSolver):
@@ -180,14 +200,9 @@ def _radiance(solver: SingleScattering, atmosphere: Atmosphere, scene: Scene):
     scatterers = scatterer_indices(constituents)
     if not scatterers:
         return jnp.zeros((scene.view.zenith.shape[0], scene.wavelength_nm.shape[0]))
-    depth = optics(constituents, scene.wavelength_nm)
-    path = view_path(constituents, scene, solver.nodes, solver.geometry)
-    integral = attenuated_sources(path, depth.extinction, scatterers)
-    phases = phase_values(constituents, scene, scene.wavelength_nm)
-    total = jnp.zeros(integral.shape[::2], integral.dtype)
-    for j, (i, phase) in enumerate(zip(scatterers, phases, strict=True)):
-        total = total + phase * depth.scattering[i][None] * integral[:, j]
-    return total * scene.solar_irradiance[None]
+    extinction = optics(constituents, scene.wavelength_nm).extinction
+    once = single_scattering(constituents, scene, extinction, solver.nodes, solver.geometry)
+    return once * scene.solar_irradiance[None]
 
 
 def _dome(rings: int, azimuths: int) -> tuple[Directions, np.ndarray]:

@@ -47,6 +47,9 @@ def optics(
     constituents: tuple[AbstractConstituent, ...], wavelength_nm: Float[Array, " wavelength"]
 ) -> Optics:
     """Extinction and scattering optical depth, one row a constituent; absorbers scatter nothing."""
+    if not constituents:
+        empty = jnp.zeros((0, *wavelength_nm.shape), wavelength_nm.dtype)
+        return Optics(empty, empty)
     extinction = jnp.stack([c.extinction(wavelength_nm) for c in constituents])
     albedo = jnp.stack(
         [jnp.zeros_like(wavelength_nm) if c.phase is None else c.albedo(wavelength_nm) for c in constituents]
