@@ -147,9 +147,9 @@ def simulate(
     if (turbidity is None) == (aerosol_optical_depth is None):
         raise ValueError("exactly one of `--turbidity` and `--aerosol-optical-depth` must be given")
     if turbidity is not None:
-        depth = turbidity_to_optical_depth(_in_range("--turbidity", turbidity, 1.0, 60.0))
+        depth = turbidity_to_optical_depth(_in_range("--turbidity", turbidity, 1.0, 50.0))
     elif aerosol_optical_depth is not None:
-        depth = _in_range("--aerosol-optical-depth", aerosol_optical_depth, 0.0, 6.0)
+        depth = _in_range("--aerosol-optical-depth", aerosol_optical_depth, 0.0, 5.0)
     _in_range("--sun-zenith", sun_zenith, 0.0, 90.0)
     aerosol = Aerosol(
         optical_depth=depth,

@@ -91,11 +91,11 @@ class Parameter(NamedTuple):
 
 _LIST = (
     Parameter(
-        "turbidity", "1", 1.001, 60.0, lambda m: m.atmosphere.aerosol.optical_depth, True,
+        "turbidity", "1", 1.001, 50.0, lambda m: m.atmosphere.aerosol.optical_depth, True,
         turbidity_to_optical_depth, optical_depth_to_turbidity,
     ),
     Parameter(
-        "aerosol_optical_depth", "1", 1e-4, 6.0, lambda m: m.atmosphere.aerosol.optical_depth, True
+        "aerosol_optical_depth", "1", 1e-4, 5.0, lambda m: m.atmosphere.aerosol.optical_depth, True
     ),
     Parameter("angstrom_exponent", "1", -0.5, 3.5, lambda m: m.atmosphere.aerosol.angstrom_exponent),
     Parameter(

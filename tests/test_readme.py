@@ -1,0 +1,42 @@
+"""The README says what is measured and its code runs."""
+
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_figures_are_those_of_the_result_file():
+    spec = importlib.util.spec_from_file_location("readme_tables", ROOT / "experiments" / "readme_tables.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert module.updated(README, json.loads(module.RESULT.read_text())) == README
+
+
+def test_what_it_points_to_exists():
+    targets = re.findall(r"\]\(([^)#:]+)\)", README)
+    assert targets
+    for target in targets:
+        assert (ROOT / target).exists(), target
+
+
+@pytest.mark.slow
+def test_its_python_runs(tmp_path: Path):
+    block = re.search(r"```python\n(.*?)```", README, re.DOTALL)
+    assert block is not None
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    check = "\nassert radiance.shape == (343, 41) and slope.shape == radiance.shape\nassert fit.result == ('successful',)\n"
+    script = tmp_path / "readme.py"
+    script.write_text(block.group(1) + check)
+    done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "fit.png").exists() and (tmp_path / "fit.json").exists()
