@@ -22,7 +22,7 @@ install: .venv/installed ## the locked versions and skyfit, editable, in .venv
 demo: install ## the published sky refitted and the sample sky inverted, into demo/
 	.venv/bin/skyfit refit --out demo/refit
 	.venv/bin/skyfit invert data/skies/sample.nc --out demo/invert --free \
-	  aerosol_optical_depth,angstrom_exponent,single_scattering_albedo,asymmetry,ground_albedo,ozone
+	  aerosol_optical_depth,angstrom_exponent,single_scattering_albedo,asymmetry,asymmetry_second,forward_fraction,ground_albedo,ozone
 
 test: install ## the default tests; SLOW=1 takes the slow ones too; ARGS= goes to pytest
 	$(PYTEST) $(if $(SLOW),-m '') $(ARGS)

@@ -31,8 +31,14 @@ SUN_ZENITH_DEG, SUN_AZIMUTH_DEG = 50.0, 160.0
 WAVELENGTH_NM = np.arange(400.0, 720.1, 10.0)
 CHECK_NM = np.array([400.0, 550.0, 720.0])
 SKY = {
-    "aod550": 0.18, "angstrom_exponent": 1.35, "aerosol_albedo": 0.93, "asymmetry": 0.68,
-    "scale_height_m": 1200.0, "ozone_du": 310.0, "ground_albedo": 0.12, "pressure_pa": PRESSURE_PA,
+    "aod550": 0.18,
+    "angstrom_exponent": 1.35,
+    "aerosol_albedo": 0.93,
+    "asymmetry": 0.68,
+    "scale_height_m": 1200.0,
+    "ozone_du": 310.0,
+    "ground_albedo": 0.12,
+    "pressure_pa": PRESSURE_PA,
 }
 UNITS = {"scale_height_m": "m", "ozone_du": "DU", "pressure_pa": "Pa"}  # the others: 1
 # view zenith and number of azimuths, evenly spaced from north
@@ -81,11 +87,23 @@ def sasktran2_rayleigh(
 
 
 def sasktran2_radiance(
-    wavelength_nm: np.ndarray, sun_zenith: float,
-    view_zenith: np.ndarray, relative_azimuth: np.ndarray, *,
-    aod550: float, angstrom_exponent: float, aerosol_albedo: float, asymmetry: float,
-    scale_height_m: float, ozone_du: float, ground_albedo: float, pressure_pa: float = PRESSURE_PA,
-    geometry: str = "spherical", streams: int = 32, level_count: int = 161, sun_positions: int = 3,
+    wavelength_nm: np.ndarray,
+    sun_zenith: float,
+    view_zenith: np.ndarray,
+    relative_azimuth: np.ndarray,
+    *,
+    aod550: float,
+    angstrom_exponent: float,
+    aerosol_albedo: float,
+    asymmetry: float,
+    scale_height_m: float,
+    ozone_du: float,
+    ground_albedo: float,
+    pressure_pa: float = PRESSURE_PA,
+    geometry: str = "spherical",
+    streams: int = 32,
+    level_count: int = 161,
+    sun_positions: int = 3,
 ) -> np.ndarray:
     """Scalar sky radiance at sea level for a solar irradiance of 1, by sasktran2.
 
@@ -209,7 +227,10 @@ def main() -> None:
         attrs={
             "title": "Computed clear sky with 1 % noise: the sample of skyfit",
             "source": f"sasktran2 {versions['sasktran2']}, experiments/make_sample_sky.py",
-            "fwhm_nm": FWHM_NM, "pressure_pa": PRESSURE_PA, "altitude_m": 0.0, "licence": "CC0-1.0",
+            "fwhm_nm": FWHM_NM,
+            "pressure_pa": PRESSURE_PA,
+            "altitude_m": 0.0,
+            "licence": "CC0-1.0",
         },
     )
     packed = {"dtype": "float32", "zlib": True, "complevel": 9, "shuffle": True}
@@ -220,9 +241,12 @@ def main() -> None:
     truth = {
         "parameters": {k: {"value": v, "unit": UNITS.get(k, "1")} for k, v in SKY.items()},
         "scene": {
-            "sun_zenith_deg": SUN_ZENITH_DEG, "sun_azimuth_deg": SUN_AZIMUTH_DEG,
-            "time": str(WHEN)[:19], "directions": len(zenith_deg),
-            "altitude_m": 0.0, "earth_radius_m": EARTH_RADIUS_M,
+            "sun_zenith_deg": SUN_ZENITH_DEG,
+            "sun_azimuth_deg": SUN_AZIMUTH_DEG,
+            "time": str(WHEN)[:19],
+            "directions": len(zenith_deg),
+            "altitude_m": 0.0,
+            "earth_radius_m": EARTH_RADIUS_M,
         },
         "sun": f"ASTM G173-03 extraterrestrial, Gaussian of FWHM {FWHM_NM:g} nm, earth_sun_factor",
         "earth_sun_factor": {"value": factor, "unit": "1", "source": f"Spencer, day {day}"},
@@ -231,12 +255,14 @@ def main() -> None:
         f"1974 profile, peak {OZONE_PEAK_M:g} m, width {OZONE_WIDTH_M:g} m",
         "rayleigh": {
             "source": "sasktran2 Rayleigh constituent (bates) in its us76, scaled to pressure_pa",
-            "wavelength_nm": CHECK_NM.tolist(), "optical_depth": depth.round(7).tolist(),
+            "wavelength_nm": CHECK_NM.tolist(),
+            "optical_depth": depth.round(7).tolist(),
             "depolarisation": depolarisation.round(6).tolist(),
         },
         "left_out": "polarisation, refraction, gases other than ozone, structure inside a band",
         "noise": {"relative": NOISE, "kind": "Gaussian, multiplicative, independent", "seed": SEED},
-        "versions": versions, "convergence": convergence(*place),
+        "versions": versions,
+        "convergence": convergence(*place),
     }
     # each file beside its place first, so that none is left half-written
     sky.to_netcdf(out / "sample.nc.part", engine="h5netcdf", encoding=encoding)

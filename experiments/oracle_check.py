@@ -35,8 +35,11 @@ def load(path: pathlib.Path, variable: str):
         cases = data["cases"][:, columns]
         reference = data[variable]
     else:
-        axes = [name for name in ("tau_rayleigh", "aod", "ssa_aerosol", "g", "albedo")
-                if name in data and np.ndim(data[name]) == 1]
+        axes = [
+            name
+            for name in ("tau_rayleigh", "aod", "ssa_aerosol", "g", "albedo")
+            if name in data and np.ndim(data[name]) == 1
+        ]
         if variable == "single_scatter":
             axes.remove("albedo")
         fixed = {n: float(data[n]) for n in FIELDS if n in data and np.ndim(data[n]) == 0}
@@ -58,8 +61,10 @@ def simulate(solver, cases, angles):
 
     def sky(case, sun):
         tau, aod, albedo_single, asymmetry, albedo = case
-        aerosol = None if absent_aerosol else Prescribed(
-            aod[None], Exponential(1200.0), HenyeyGreenstein(asymmetry), albedo_single[None]
+        aerosol = (
+            None
+            if absent_aerosol
+            else Prescribed(aod[None], Exponential(1200.0), HenyeyGreenstein(asymmetry), albedo_single[None])
         )
         atmosphere = skyfit.Atmosphere(
             Prescribed(tau[None], Exponential(8000.0), RayleighPhase(0.0)), aerosol, None, Ground(albedo)

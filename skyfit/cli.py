@@ -331,9 +331,7 @@ def predict_command(
 
 
 def _read(path: Path, latitude, longitude, utc_offset, altitude, fwhm) -> Sky:
-    return read(
-        path, latitude=latitude, longitude=longitude, utc_offset=utc_offset, altitude=altitude, fwhm_nm=fwhm
-    )
+    return read(path, latitude=latitude, longitude=longitude, utc_offset=utc_offset, altitude=altitude, fwhm_nm=fwhm)
 
 
 def _folder(path: Path) -> None:

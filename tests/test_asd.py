@@ -9,9 +9,7 @@ from skyfit.files import read, solar_position
 
 
 MEASURED = Path(__file__).parents[2] / "shared" / "measured" / "kider2014"
-needs_measured = pytest.mark.skipif(
-    not MEASURED.is_dir(), reason="the measured skies of ../shared are not here"
-)
+needs_measured = pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured skies of ../shared are not here")
 # Ithaca, NY, where the scans were made.
 PLACE = {"latitude": 42.443449, "longitude": -76.481962}
 

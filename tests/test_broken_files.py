@@ -159,8 +159,9 @@ def with_variable(**variables):
             ["direction 2", "`view_azimuth`", "nan"],
         ),
         (
-            with_variable(radiance=(("time", "direction", "wavelength"), np.full((1, 5, 8), "x"),
-                                    {"units": "W m-2 sr-1 nm-1"})),
+            with_variable(
+                radiance=(("time", "direction", "wavelength"), np.full((1, 5, 8), "x"), {"units": "W m-2 sr-1 nm-1"})
+            ),
             ["`radiance`", "expected numbers"],
         ),
         (with_variable(suspect=("band", [0, 1])), ["`suspect`", "found band"]),

@@ -116,9 +116,7 @@ def test_shapes_batch_and_round_trip(precision):
 
 
 def test_srgb_of_white_grey_and_of_colour_science(precision):
-    white = jnp.asarray(
-        colour.xy_to_XYZ(colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"])
-    )
+    white = jnp.asarray(colour.xy_to_XYZ(colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]))
     np.testing.assert_allclose(srgb_from_xyz(200.0 * white, 1 / 200.0), np.ones(3), atol=2e-4)
     for level in (0.001, 0.0031308, 0.2, 0.8):
         tristimulus = level * np.array([0.7, 0.6, 0.5])
@@ -156,6 +154,4 @@ def test_srgb_gradient_is_the_central_difference():
         step = 1e-5
         for k in range(0, wavelength.size, 4):
             up, down = pixel(radiance.at[k].add(step)), pixel(radiance.at[k].add(-step))
-            np.testing.assert_allclose(
-                slope[:, k], (up - down) / (2 * step), atol=1e-7 * float(jnp.abs(slope).max())
-            )
+            np.testing.assert_allclose(slope[:, k], (up - down) / (2 * step), atol=1e-7 * float(jnp.abs(slope).max()))

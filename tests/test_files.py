@@ -15,9 +15,7 @@ from skyfit.scene.samples import Sky
 
 
 MEASURED = Path(__file__).parents[2] / "shared" / "measured" / "kider2014"
-needs_measured = pytest.mark.skipif(
-    not MEASURED.is_dir(), reason="the measured skies of ../shared are not here"
-)
+needs_measured = pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured skies of ../shared are not here")
 # Ithaca, NY, where the scans were made.
 PLACE = {"latitude": 42.443449, "longitude": -76.481962}
 
@@ -121,9 +119,7 @@ def test_a_sky_round_trips(tmp_path, suffix, sigma, times):
 
 @pytest.mark.parametrize("suffix", [".nc", ".csv"])
 def test_a_sky_of_unknown_time_and_place_round_trips(tmp_path, suffix):
-    nowhere = dict.fromkeys(
-        ("latitude_deg", "longitude_deg", "altitude_m", "pressure_pa", "fwhm_nm"), np.nan
-    )
+    nowhere = dict.fromkeys(("latitude_deg", "longitude_deg", "altitude_m", "pressure_pa", "fwhm_nm"), np.nan)
     sky = replace(make_sky(times=1), time=np.array(["NaT"], "datetime64[ns]"), **nowhere)
     write_sky(sky, tmp_path / f"sky{suffix}")
     assert_same(read(tmp_path / f"sky{suffix}"), sky)
@@ -148,9 +144,7 @@ def test_at_and_select_and_counts():
     own = sky.wavelength_nm
     wanted = np.array([own[0], 0.25 * own[1] + 0.75 * own[2], own[6]])
     chosen = sky.select(wavelength_nm=wanted)
-    np.testing.assert_allclose(
-        chosen.radiance[..., 1], 0.25 * sky.radiance[..., 1] + 0.75 * sky.radiance[..., 2]
-    )
+    np.testing.assert_allclose(chosen.radiance[..., 1], 0.25 * sky.radiance[..., 1] + 0.75 * sky.radiance[..., 2])
     np.testing.assert_array_equal(chosen.usable[..., 1], sky.usable[..., 1] & sky.usable[..., 2])
     # A wavelength that is hit needs no neighbour.
     for place, index in ((0, 0), (2, 6)):
@@ -306,9 +300,7 @@ def test_directions_of_a_table_are_the_union_over_times(tmp_path):
     comments = ["latitude: 42.4", "longitude: -76.5", "altitude_m: 325", "note: by hand", "free"]
     sky = read(write_rows(tmp_path / "sky.csv", rows, header, comments))
     assert sky.radiance.shape == (2, 3, 2)
-    assert list(sky.time) == list(
-        np.array(["2013-05-27T13:00", "2013-05-27T14:00"], "datetime64[ns]")
-    )
+    assert list(sky.time) == list(np.array(["2013-05-27T13:00", "2013-05-27T14:00"], "datetime64[ns]"))
     assert sky.counts() == {"samples": 12, "usable": 3, "missing": 9}
     assert sky.radiance[1, 0, 1] == 0.1 and sky.radiance[0, 2, 0] == 0.4
     assert (sky.latitude_deg, sky.altitude_m) == (42.4, 325.0)
@@ -332,9 +324,7 @@ def test_a_table_with_units_station_columns_and_more(tmp_path):
 
 @settings(max_examples=30, deadline=None, derandomize=True)
 @given(
-    directions=st.lists(
-        st.tuples(st.integers(0, 90), st.integers(0, 359)), min_size=1, max_size=4, unique=True
-    ),
+    directions=st.lists(st.tuples(st.integers(0, 90), st.integers(0, 359)), min_size=1, max_size=4, unique=True),
     wavelengths=st.lists(st.integers(300, 1100), min_size=1, max_size=3, unique=True),
     values=st.lists(st.floats(1e-6, 10.0), min_size=12, max_size=12),
     order=st.randoms(use_true_random=False),

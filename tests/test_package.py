@@ -23,7 +23,8 @@ FLOORS = (
     {"atmosphere"},
     {"transport", "sky"},
     {"fit"},
-    {"files"}, {"draw"},
+    {"files"},
+    {"draw"},
     {"cli"},
 )
 HEIGHT = {name: height for height, names in enumerate(FLOORS) for name in names}
@@ -54,9 +55,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (wheel,) = folder.glob("skyfit-*.whl")
     venv.create(folder / "venv", with_pip=False, symlinks=True)
     python = folder / "venv/bin/python"
-    purelib = Path(
-        run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder).strip()
-    )
+    purelib = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder).strip())
     # a folder named in a .pth does not have its own .pth files read: an editable skyfit stays out of sight
     paths = {sysconfig.get_path("purelib"), sysconfig.get_path("platlib")}
     (purelib / "dependencies.pth").write_text("\n".join(sorted(paths)) + "\n")
@@ -161,8 +160,6 @@ def test_no_machine_path_and_no_index_address():
     # written so that this file does not hold what it looks for
     machine = re.compile(rb"(?<![\w.:/-])(?:/(?:work|tmp|home|root|Users|opt)/\w|file:/{2})")
     files = [ROOT / os.fsdecode(name) for name in listed.stdout.split(b"\0") if name]
-    found = [
-        str(path.relative_to(ROOT)) for path in files if path.is_file() and machine.search(path.read_bytes())
-    ]
+    found = [str(path.relative_to(ROOT)) for path in files if path.is_file() and machine.search(path.read_bytes())]
     assert not found
     assert "://" not in (ROOT / "requirements.lock").read_text()

@@ -85,9 +85,7 @@ def test_values_and_gradients_are_finite_everywhere(double):
     def one(c, t, g, s):
         return perez_distribution(c, t, g), Perez.from_coefficients(c).ratio(t, g, s)
 
-    both = jax.jit(
-        jax.vmap(lambda *at: (one(*at), jax.jacrev(one, argnums=(0, 1, 2, 3))(*at)), (None, 0, 0, None))
-    )
+    both = jax.jit(jax.vmap(lambda *at: (one(*at), jax.jacrev(one, argnums=(0, 1, 2, 3))(*at)), (None, 0, 0, None)))
     for name, coefficients in EXTREMES.items():
         for sun in (0.0, 0.5, half, 2.0):
             for leaf in jax.tree.leaves(both(jnp.asarray(coefficients), theta, gamma, sun)):

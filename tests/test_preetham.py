@@ -17,9 +17,7 @@ def double(request):
 
 def sky(count=15):
     """View zenith and azimuth (from the sun) over the hemisphere, flat."""
-    zenith, azimuth = np.meshgrid(
-        np.linspace(0.0, math.radians(85.0), count), np.linspace(0.0, math.pi, count)
-    )
+    zenith, azimuth = np.meshgrid(np.linspace(0.0, math.radians(85.0), count), np.linspace(0.0, math.pi, count))
     return zenith.ravel(), azimuth.ravel()
 
 
@@ -82,9 +80,7 @@ def test_sky_is_bright_and_a_colour_within_the_range(double, turbidity):
     for sun in (0.0, 0.6, 1.2, 1.55):
         zenith, azimuth = sky()
         gamma = angle_from_sun(zenith, azimuth, sun)
-        luminance, x, y = model.luminance_chromaticity(
-            turbidity, sun, jnp.asarray(zenith), jnp.asarray(gamma)
-        )
+        luminance, x, y = model.luminance_chromaticity(turbidity, sun, jnp.asarray(zenith), jnp.asarray(gamma))
         assert np.all(np.asarray(luminance) > 0.0)
         assert np.all((np.asarray(x) > 0.15) & (np.asarray(y) > 0.15))
         assert np.all(np.asarray(x + y) < 1.0)
@@ -173,9 +169,7 @@ def test_a_refit_is_the_same_class_with_its_own_range(double):
     refit.check_range(1.1, 0.5)
     assert bool(refit.valid(1.2, 0.5)) and not bool(refit.valid(9.0, 0.5))
     assert [leaf.shape for leaf in jax.tree.leaves(refit)] == [(3, 5, 2), (3, 2), (2, 3, 4)]
-    np.testing.assert_allclose(
-        refit.perez(3.0)[0].coefficients, 2.0 * model.perez(3.0)[0].coefficients, rtol=1e-6
-    )
+    np.testing.assert_allclose(refit.perez(3.0)[0].coefficients, 2.0 * model.perez(3.0)[0].coefficients, rtol=1e-6)
 
 
 def test_values_and_gradients_are_finite_outside_and_at_the_edges(double):

@@ -34,7 +34,9 @@ def test_its_python_runs(tmp_path: Path):
     block = re.search(r"```python\n(.*?)```", README, re.DOTALL)
     assert block is not None
     (tmp_path / "data").symlink_to(ROOT / "data")
-    check = "\nassert radiance.shape == (343, 41) and slope.shape == radiance.shape\nassert fit.result == ('successful',)\n"
+    check = (
+        "\nassert radiance.shape == (343, 41) and slope.shape == radiance.shape\nassert fit.result == ('successful',)\n"
+    )
     script = tmp_path / "readme.py"
     script.write_text(block.group(1) + check)
     done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True)

@@ -38,6 +38,4 @@ class Aerosol(AbstractConstituent):
 
     def albedo(self, wavelength_nm):
         ratio = jnp.log(wavelength_nm / REFERENCE_WAVELENGTH)
-        return jnp.clip(
-            self.single_scattering_albedo + self.single_scattering_albedo_slope * ratio, 0.0, 1.0
-        )
+        return jnp.clip(self.single_scattering_albedo + self.single_scattering_albedo_slope * ratio, 0.0, 1.0)

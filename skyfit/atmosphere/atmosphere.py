@@ -37,9 +37,7 @@ class Ground(eqx.Module):
     def reflectance(self, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
         """The albedo at the given wavelengths."""
         ratio = jnp.log(wavelength_nm / REFERENCE_WAVELENGTH)
-        return jnp.clip(
-            jnp.broadcast_to(self.albedo, wavelength_nm.shape) + self.albedo_slope * ratio, 0.0, 1.0
-        )
+        return jnp.clip(jnp.broadcast_to(self.albedo, wavelength_nm.shape) + self.albedo_slope * ratio, 0.0, 1.0)
 
 
 class Atmosphere(eqx.Module):

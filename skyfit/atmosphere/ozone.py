@@ -31,9 +31,7 @@ class Ozone(AbstractConstituent):
 
     def extinction(self, wavelength_nm):
         table = read_table("spectrl2_absorption.csv")
-        per_atm_cm = jnp.interp(
-            wavelength_nm, as_float(table["wavelength_nm"]), as_float(table["ozone_absorption"])
-        )
+        per_atm_cm = jnp.interp(wavelength_nm, as_float(table["wavelength_nm"]), as_float(table["ozone_absorption"]))
         return per_atm_cm * (self.column / DOBSON_PER_ATM_CM)
 
     def albedo(self, wavelength_nm):

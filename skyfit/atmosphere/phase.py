@@ -26,9 +26,7 @@ class AbstractPhase(eqx.Module):
         """The phase function at angles from the forward direction, sr^-1."""
 
     @abstractmethod
-    def moments(
-        self, count: int, wavelength_nm: Float[Array, " wavelength"]
-    ) -> Float[Array, " moment #wavelength"]:
+    def moments(self, count: int, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " moment #wavelength"]:
         """The Legendre moments 0 .. count-1, dimensionless."""
 
 

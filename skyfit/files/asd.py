@@ -50,9 +50,7 @@ def read_asd(path: Path, station: dict[str, float], utc_offset: float | int | No
             f"`latitude` and `longitude`, found no {', '.join(lacking)}"
         )
     if not _EARLIEST <= utc_offset <= _LATEST:
-        raise ValueError(
-            f"`utc_offset` must be in [{_EARLIEST:g}, {_LATEST:g}] hours, got {utc_offset:g}"
-        )
+        raise ValueError(f"`utc_offset` must be in [{_EARLIEST:g}, {_LATEST:g}] hours, got {utc_offset:g}")
     labels = sorted((_label(file.name) for file in files), key=lambda label: label[:2])
     found = {file.name: file for file in files}
     times, directions = Axis(), Axis()
@@ -74,10 +72,7 @@ def read_asd(path: Path, station: dict[str, float], utc_offset: float | int | No
     index = np.array(places).T
     twice = repeated(shape, index)
     if twice is not None:
-        raise ValueError(
-            f"{names[twice[1]]}: expected each time and direction once, found that of "
-            f"{names[twice[0]]}"
-        )
+        raise ValueError(f"{names[twice[1]]}: expected each time and direction once, found that of {names[twice[0]]}")
     # Which spectrum belongs where; -1 where a time lacks a direction.
     which = fill(shape, index, np.arange(len(spectra)), -1.0)[..., 0].astype(int)
     radiance = np.where(which[..., None] < 0, np.nan, np.array(spectra)[which])
@@ -125,24 +120,18 @@ def _spectrum(path):
     if not lines:
         raise ValueError(f"{file}: expected a header line and a spectrum, found an empty file")
     if not lines[0].lower().startswith("wavelength"):
-        raise ValueError(
-            f"{file}: row 1: expected the header Wavelength<TAB>name, found {lines[0][:60]!r}"
-        )
+        raise ValueError(f"{file}: row 1: expected the header Wavelength<TAB>name, found {lines[0][:60]!r}")
     if len(lines) < 2:
         raise ValueError(f"{file}: expected rows below the header, found none")
     values = np.empty((len(lines) - 1, 2))
     for row, line in enumerate(lines[1:], start=2):
         cells = line.split()
         if len(cells) != 2:
-            raise ValueError(
-                f"{file}: row {row}: expected wavelength and radiance, found {line[:60]!r}"
-            )
+            raise ValueError(f"{file}: row {row}: expected wavelength and radiance, found {line[:60]!r}")
         for column, text in enumerate(cells):
             try:
                 values[row - 2, column] = float(text)
             except ValueError:
                 key = ("Wavelength", "radiance")[column]
-                raise ValueError(
-                    f"{file}: row {row}, column `{key}`: expected a number, found {text[:60]!r}"
-                ) from None
+                raise ValueError(f"{file}: row {row}, column `{key}`: expected a number, found {text[:60]!r}") from None
     return values[:, 0], values[:, 1]

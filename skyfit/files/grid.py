@@ -21,9 +21,7 @@ class Axis:
         return list(self.positions)
 
 
-def fill(
-    shape: tuple[int, int, int], places: np.ndarray, values: np.ndarray, absent: float
-) -> np.ndarray:
+def fill(shape: tuple[int, int, int], places: np.ndarray, values: np.ndarray, absent: float) -> np.ndarray:
     """Values at their places of a grid, `absent` elsewhere.
 
     **Arguments** `places`: int, [3, sample]; `values`: [sample].

@@ -91,9 +91,7 @@ def _load(path):
             return xarray.load_dataset(stream, engine=engine, decode_timedelta=False)
     except Exception as error:
         line = (str(error).splitlines() or [""])[0] or type(error).__name__
-        raise ValueError(
-            f"{path.name}: expected NetCDF, found a truncated or damaged file ({line})"
-        ) from error
+        raise ValueError(f"{path.name}: expected NetCDF, found a truncated or damaged file ({line})") from error
 
 
 def _probe(stream):
@@ -109,9 +107,7 @@ def _probe(stream):
 def _require(name, data):
     for key in ("radiance", "view_zenith", "view_azimuth", "wavelength"):
         if key not in data:
-            raise ValueError(
-                f"{name}: expected variable `{key}`, found {', '.join(map(str, data.variables))}"
-            )
+            raise ValueError(f"{name}: expected variable `{key}`, found {', '.join(map(str, data.variables))}")
 
 
 def _radiance(name, data):
@@ -143,9 +139,7 @@ def _factor(name, variable, units):
 
 def _numbers(name, variable):
     if variable.dtype.kind not in "fiub":
-        raise ValueError(
-            f"{name}: variable `{variable.name}`: expected numbers, found {variable.dtype}"
-        )
+        raise ValueError(f"{name}: variable `{variable.name}`: expected numbers, found {variable.dtype}")
     return np.asarray(variable.values, dtype=np.float64)
 
 
@@ -239,9 +233,7 @@ def _scalar(name, data, key):
         try:
             numbers = np.unique(np.asarray(data.attrs[key], dtype=np.float64))
         except (TypeError, ValueError):
-            raise ValueError(
-                f"{name}: attribute `{key}`: expected a number, found {data.attrs[key]!r}"
-            ) from None
+            raise ValueError(f"{name}: attribute `{key}`: expected a number, found {data.attrs[key]!r}") from None
     else:
         return None
     if numbers.size != 1:
@@ -258,9 +250,7 @@ def _saturation(name, data, factor):
     try:
         return float(value) * factor
     except (TypeError, ValueError):
-        raise ValueError(
-            f"{name}: attribute `saturation`: expected a number, found {value!r}"
-        ) from None
+        raise ValueError(f"{name}: attribute `saturation`: expected a number, found {value!r}") from None
 
 
 def _own_notes(data):
@@ -282,9 +272,7 @@ def write_netcdf(sky: Sky, path: Path) -> None:
         "sun_azimuth": ("time", degrees(sky.sun_azimuth), {"units": "degree"}),
     }
     if sky.sigma is not None:
-        variables["sigma"] = (
-            _AXES, sky.sigma, {"units": RADIANCE, "long_name": "standard deviation of radiance"}
-        )
+        variables["sigma"] = (_AXES, sky.sigma, {"units": RADIANCE, "long_name": "standard deviation of radiance"})
     clockwise = {"units": "degree", "comment": "clockwise from north"}
     coordinates = {
         "wavelength": ("wavelength", sky.wavelength_nm, {"units": "nm"}),

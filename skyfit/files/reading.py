@@ -54,13 +54,11 @@ def read(
         reader = _READERS.get(path.suffix.lower())
         if reader is None:
             raise ValueError(
-                f"{path.name}: expected *.nc, *.csv or a folder of ASD text exports, "
-                f"found suffix {path.suffix!r}"
+                f"{path.name}: expected *.nc, *.csv or a folder of ASD text exports, found suffix {path.suffix!r}"
             )
         if utc_offset is not None:
             raise ValueError(
-                f"{path.name}: `utc_offset` is for a folder of ASD text exports; "
-                "times in this file are UTC"
+                f"{path.name}: `utc_offset` is for a folder of ASD text exports; times in this file are UTC"
             )
         return reader(path, station)
     except OSError as error:

@@ -205,10 +205,7 @@ def _check_wavelengths(found):
     same = np.flatnonzero(np.diff(wavelength[order]) == 0.0)
     if same.size:
         first, second = order[same[0]], order[same[0] + 1]
-        raise ValueError(
-            f"{start} different values, found {wavelength[first]:g} nm at positions {first} "
-            f"and {second}"
-        )
+        raise ValueError(f"{start} different values, found {wavelength[first]:g} nm at positions {first} and {second}")
     return wavelength[order], order
 
 
@@ -216,9 +213,7 @@ def _check_station(name, station):
     for key, value in station.items():
         low, high, unit = _RANGES[key]
         if not low <= value <= high or (key == "fwhm_nm" and value == 0.0):
-            raise ValueError(
-                f"{name}: `{key}`: expected {low:g} to {high:g} {unit}, found {value:g}"
-            )
+            raise ValueError(f"{name}: `{key}`: expected {low:g} to {high:g} {unit}, found {value:g}")
 
 
 def _place_sun(found):
@@ -254,9 +249,7 @@ def _place_sun(found):
             station.get("pressure_pa"),
         )
         for values, filled in zip((zenith, azimuth), computed, strict=True):
-            values[without] = np.where(
-                np.isfinite(values[without]), values[without], np.rad2deg(filled)
-            )
+            values[without] = np.where(np.isfinite(values[without]), values[without], np.rad2deg(filled))
         found.notes.append(
             f"sun position of {int(np.sum(without))} of {len(without)} times computed (pvlib, "
             "apparent zenith with refraction)"

@@ -69,20 +69,18 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
     if not lines:
         raise ValueError(f"{name}: expected rows of samples below the header, found none")
     texts = dict(zip(header, zip(*cells, strict=True), strict=True))
-    number = {
-        key: _column(name, lines, key, texts[key], empty)
-        for key, empty in _EMPTY.items()
-        if key in texts
-    }
+    number = {key: _column(name, lines, key, texts[key], empty) for key, empty in _EMPTY.items() if key in texts}
     times, directions, wavelengths = Axis(), Axis(), Axis()
     # Without a column `time` all samples are of one time, which is not known.
     moments = _moments(name, lines, texts["time"]) if "time" in texts else [_UNKNOWN] * len(lines)
     angles = zip(number["view_zenith"].tolist(), number["view_azimuth"].tolist(), strict=True)
-    index = np.array([
-        [times.place(moment) for moment in moments],
-        [directions.place(pair) for pair in angles],
-        [wavelengths.place(value) for value in number["wavelength"].tolist()],
-    ])
+    index = np.array(
+        [
+            [times.place(moment) for moment in moments],
+            [directions.place(pair) for pair in angles],
+            [wavelengths.place(value) for value in number["wavelength"].tolist()],
+        ]
+    )
     shape = (len(times), len(directions), len(wavelengths))
     _check_grid(name, shape, len(lines))
     twice = repeated(shape, index)
@@ -156,13 +154,10 @@ def read_directions(
     angles = []
     for line, cells in rows:
         pair = [_number(name, line, key, cells[header.index(key)], None) for key in _REQUIRED[:2]]
-        for key, value, low, high in zip(
-            _REQUIRED[:2], pair, (0.0, -360.0), (90.0, 720.0), strict=True
-        ):
+        for key, value, low, high in zip(_REQUIRED[:2], pair, (0.0, -360.0), (90.0, 720.0), strict=True):
             if not low <= value <= high:
                 raise ValueError(
-                    f"{name}: row {line}, column `{key}`: expected degrees in "
-                    f"[{low:g}, {high:g}], found {value:g}"
+                    f"{name}: row {line}, column `{key}`: expected degrees in [{low:g}, {high:g}], found {value:g}"
                 )
         angles.append(pair)
     if not angles:
@@ -196,9 +191,7 @@ def _open(path):
         raise ValueError(f"{name}: row {numbers[0]}: expected CSV, found {error}") from None
     for position, key in enumerate(header):
         if key in header[:position]:
-            raise ValueError(
-                f"{name}: row {numbers[0]}: expected different columns, found `{key}` twice"
-            )
+            raise ValueError(f"{name}: row {numbers[0]}: expected different columns, found `{key}` twice")
     return header, comments, _rows(name, header, lines, numbers)
 
 
@@ -214,10 +207,7 @@ def _rows(name, header, lines, numbers) -> Iterator[tuple[int, list[str]]]:
         except csv.Error as error:
             raise ValueError(f"{name}: row {line}: expected CSV, found {error}") from None
         if len(cells) != len(header):
-            raise ValueError(
-                f"{name}: row {line}: expected {len(header)} columns as in the header, "
-                f"found {len(cells)}"
-            )
+            raise ValueError(f"{name}: row {line}: expected {len(header)} columns as in the header, found {len(cells)}")
         yield line, cells
 
 
@@ -225,8 +215,7 @@ def _require(name, header, keys):
     lacking = [key for key in keys if key not in header]
     if lacking:
         raise ValueError(
-            f"{name}: expected column {', '.join(f'`{key}`' for key in lacking)}, "
-            f"found {', '.join(header)[:200]}"
+            f"{name}: expected column {', '.join(f'`{key}`' for key in lacking)}, found {', '.join(header)[:200]}"
         )
 
 
@@ -240,9 +229,7 @@ def _number(name, line, key, text, empty):
     except ValueError:
         value = None
     if value is None or (empty is None and not np.isfinite(value)):
-        raise ValueError(
-            f"{name}: row {line}, column `{key}`: expected a number, found {text[:60]!r}"
-        )
+        raise ValueError(f"{name}: row {line}, column `{key}`: expected a number, found {text[:60]!r}")
     return value
 
 
@@ -276,8 +263,7 @@ def _moment(name, line, text):
         return np.datetime64(moment, "ns")
     except (ValueError, OverflowError):
         raise ValueError(
-            f"{name}: row {line}, column `time`: expected an ISO time such as "
-            f"2013-05-27T14:00:00Z, found {text[:60]!r}"
+            f"{name}: row {line}, column `time`: expected an ISO time such as 2013-05-27T14:00:00Z, found {text[:60]!r}"
         ) from None
 
 
@@ -337,15 +323,11 @@ def write_tidy(sky: Sky, path: Path) -> None:
     """
     timed = not (len(sky.time) == 1 and np.isnat(sky.time[0]))
     if timed and (np.any(np.isnat(sky.time)) or len(np.unique(sky.time)) < len(sky.time)):
-        raise ValueError(
-            "a CSV tells times apart by `time`: expected all to be known and to "
-            "differ; write NetCDF"
-        )
+        raise ValueError("a CSV tells times apart by `time`: expected all to be known and to differ; write NetCDF")
     zenith, azimuth = degrees(sky.view_zenith).tolist(), degrees(sky.view_azimuth).tolist()
     if len(set(zip(zenith, azimuth, strict=True))) < len(zenith):
         raise ValueError(
-            "a CSV tells directions apart by `view_zenith` and `view_azimuth`: "
-            "expected all to differ; write NetCDF"
+            "a CSV tells directions apart by `view_zenith` and `view_azimuth`: expected all to differ; write NetCDF"
         )
     header = (["time"] if timed else []) + list(_REQUIRED)
     header += (["sigma"] if sky.sigma is not None else []) + ["suspect", *_PER_TIME]

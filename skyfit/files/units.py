@@ -6,14 +6,37 @@ import re
 RADIANCE = "W m-2 sr-1 nm-1"
 
 _SPELLINGS = {
-    "µ": "u", "μ": "u", "Å": "angstrom", "⁻": "-", "¹": "1", "²": "2", "³": "3",
-    "·": " ", "⋅": " ", "−": "-", "**": "^", "*": " ", "[": "(", "]": ")",
+    "µ": "u",
+    "μ": "u",
+    "Å": "angstrom",
+    "⁻": "-",
+    "¹": "1",
+    "²": "2",
+    "³": "3",
+    "·": " ",
+    "⋅": " ",
+    "−": "-",
+    "**": "^",
+    "*": " ",
+    "[": "(",
+    "]": ")",
 }
 _POWER = {"W": 1.0, "mW": 1e-3, "uW": 1e-6, "nW": 1e-9, "kW": 1e3, "watt": 1.0, "watts": 1.0}
 _LENGTH = {
-    "m": 1.0, "meter": 1.0, "metre": 1.0, "cm": 1e-2, "mm": 1e-3,
-    "um": 1e-6, "micron": 1e-6, "micrometer": 1e-6, "micrometre": 1e-6,
-    "nm": 1e-9, "nanometer": 1e-9, "nanometre": 1e-9, "angstrom": 1e-10, "Angstrom": 1e-10,
+    "m": 1.0,
+    "meter": 1.0,
+    "metre": 1.0,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "um": 1e-6,
+    "micron": 1e-6,
+    "micrometer": 1e-6,
+    "micrometre": 1e-6,
+    "nm": 1e-9,
+    "nanometer": 1e-9,
+    "nanometre": 1e-9,
+    "angstrom": 1e-10,
+    "Angstrom": 1e-10,
 }
 _ANGLE = ("sr", "steradian", "steradians", "ster")
 

@@ -53,9 +53,7 @@ def write_sky(sky: Sky, path: str | os.PathLike) -> None:
     target = Path(path)
     writer = _WRITERS.get(target.suffix.lower())
     if writer is None:
-        raise ValueError(
-            f"{target.name}: expected a suffix of {', '.join(_WRITERS)}, found {target.suffix!r}"
-        )
+        raise ValueError(f"{target.name}: expected a suffix of {', '.join(_WRITERS)}, found {target.suffix!r}")
     with atomic(target) as part:
         try:
             writer(sky, part)

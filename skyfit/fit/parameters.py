@@ -91,41 +91,65 @@ class Parameter(NamedTuple):
 
 _LIST = (
     Parameter(
-        "turbidity", "1", 1.001, 50.0, lambda m: m.atmosphere.aerosol.optical_depth, True,
-        turbidity_to_optical_depth, optical_depth_to_turbidity,
+        "turbidity",
+        "1",
+        1.001,
+        50.0,
+        lambda m: m.atmosphere.aerosol.optical_depth,
+        True,
+        turbidity_to_optical_depth,
+        optical_depth_to_turbidity,
     ),
-    Parameter(
-        "aerosol_optical_depth", "1", 1e-4, 5.0, lambda m: m.atmosphere.aerosol.optical_depth, True
-    ),
+    Parameter("aerosol_optical_depth", "1", 1e-4, 5.0, lambda m: m.atmosphere.aerosol.optical_depth, True),
     Parameter("angstrom_exponent", "1", -0.5, 3.5, lambda m: m.atmosphere.aerosol.angstrom_exponent),
     Parameter(
-        "single_scattering_albedo", "1", 0.4, 1.0,
+        "single_scattering_albedo",
+        "1",
+        0.4,
+        1.0,
         lambda m: m.atmosphere.aerosol.single_scattering_albedo,
     ),
     Parameter(
-        "single_scattering_albedo_slope", "1", -0.5, 0.5,
+        "single_scattering_albedo_slope",
+        "1",
+        -0.5,
+        0.5,
         lambda m: m.atmosphere.aerosol.single_scattering_albedo_slope,
     ),
     Parameter("asymmetry", "1", 0.0, 0.95, lambda m: m.atmosphere.aerosol.phase.asymmetry),
-    Parameter(
-        "asymmetry_second", "1", -0.9, 0.8, lambda m: m.atmosphere.aerosol.phase.asymmetry_second
-    ),
+    Parameter("asymmetry_second", "1", -0.9, 0.8, lambda m: m.atmosphere.aerosol.phase.asymmetry_second),
     Parameter("forward_fraction", "1", 0.0, 1.0, lambda m: m.atmosphere.aerosol.phase.forward_fraction),
     Parameter(
-        "aerosol_scale_height", "m", 200.0, 8000.0,
-        lambda m: m.atmosphere.aerosol.profile.scale_height, True,
+        "aerosol_scale_height",
+        "m",
+        200.0,
+        8000.0,
+        lambda m: m.atmosphere.aerosol.profile.scale_height,
+        True,
     ),
     Parameter("ozone", "DU", 50.0, 700.0, lambda m: m.atmosphere.ozone.column),
     Parameter("ground_albedo", "1", 0.0, 1.0, lambda m: m.atmosphere.ground.albedo),
     Parameter("ground_albedo_slope", "1", -1.0, 1.0, lambda m: m.atmosphere.ground.albedo_slope),
     Parameter("pressure", "Pa", 3e4, 1.1e5, lambda m: m.atmosphere.rayleigh.pressure),
     Parameter(
-        "pointing_zenith", "degree", -6.0, 6.0, lambda m: m.instrument.pointing_zenith,
-        False, _radians, _degrees,
+        "pointing_zenith",
+        "degree",
+        -6.0,
+        6.0,
+        lambda m: m.instrument.pointing_zenith,
+        False,
+        _radians,
+        _degrees,
     ),
     Parameter(
-        "pointing_azimuth", "degree", -20.0, 20.0, lambda m: m.instrument.pointing_azimuth,
-        False, _radians, _degrees,
+        "pointing_azimuth",
+        "degree",
+        -20.0,
+        20.0,
+        lambda m: m.instrument.pointing_azimuth,
+        False,
+        _radians,
+        _degrees,
     ),
 )
 PARAMETERS: dict[str, Parameter] = {p.name: p for p in _LIST}
@@ -186,6 +210,4 @@ def with_values(fixed: SkyModel, names: tuple[str, ...], values) -> SkyModel:
     **Arguments:** `fixed`, a whole model or the fixed half of `partition`; `values`, scalars or one array.
     """
     leaves = [as_float(PARAMETERS[n].to_leaf(values[i])) for i, n in enumerate(names)]
-    return eqx.tree_at(
-        lambda m: [PARAMETERS[n].leaf(m) for n in names], fixed, leaves, is_leaf=lambda x: x is None
-    )
+    return eqx.tree_at(lambda m: [PARAMETERS[n].leaf(m) for n in names], fixed, leaves, is_leaf=lambda x: x is None)

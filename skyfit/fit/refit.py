@@ -253,9 +253,7 @@ def _fit_joint(form: _Form, start, arguments):
     turbidity = arguments[6]
     ends = jnp.min(turbidity), jnp.max(turbidity)
     limit = jnp.where(jnp.arange(start.size) < 10, LOGISTIC_LIMIT, jnp.inf).astype(start.dtype)
-    return least_squares(
-        residual, lambda free: _linear_coefficients(form, free, ends), start, arguments, limit, 200
-    )
+    return least_squares(residual, lambda free: _linear_coefficients(form, free, ends), start, arguments, limit, 200)
 
 
 @eqx.filter_jit

@@ -99,6 +99,4 @@ class Fit:
 
 def time_names(sky: Sky) -> tuple[str, ...]:
     """Each time of a sky as text, ISO in UTC, or its index where the file gives none."""
-    return tuple(
-        f"time {i}" if np.isnat(t) else str(t.astype("datetime64[s]")) + "Z" for i, t in enumerate(sky.time)
-    )
+    return tuple(f"time {i}" if np.isnat(t) else str(t.astype("datetime64[s]")) + "Z" for i, t in enumerate(sky.time))

@@ -109,13 +109,9 @@ def least_squares(
         return result + change, (result, jacobian)
 
     solver = LevenbergMarquardt(rtol=tolerance, atol=tolerance, descent=MarquardtDescent(limit=limit))
-    solution = optx.least_squares(
-        linearised, solver, start, arguments, has_aux=True, max_steps=max_steps, throw=False
-    )
+    solution = optx.least_squares(linearised, solver, start, arguments, has_aux=True, max_steps=max_steps, throw=False)
     last_residual, last_jacobian = solution.state.aux
-    return Solution(
-        bound(solution.value), last_residual, last_jacobian, solution.stats["num_steps"], solution.result
-    )
+    return Solution(bound(solution.value), last_residual, last_jacobian, solution.stats["num_steps"], solution.result)
 
 
 def result_name(result) -> str:

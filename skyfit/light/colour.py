@@ -88,9 +88,7 @@ def srgb(
     return srgb_from_xyz(xyz(radiance, wavelength_nm), exposure)
 
 
-def srgb_from_xyz(
-    tristimulus: Float[Array, "... 3"], exposure: Float[ArrayLike, ""]
-) -> Float[Array, "... 3"]:
+def srgb_from_xyz(tristimulus: Float[Array, "... 3"], exposure: Float[ArrayLike, ""]) -> Float[Array, "... 3"]:
     r"""Encoded sRGB pixel of tristimulus values.
 
     $c = M (X, Y, Z) \cdot$ exposure; $12.92 c$ up to 0.0031308, $1.055 c^{1/2.4} - 0.055$ beyond.

@@ -44,8 +44,7 @@ def extraterrestrial_irradiance(
     outside = ~((centre >= low) & (centre <= high))
     if outside.any():
         raise ValueError(
-            f"`wavelength_nm` must be within {low:g}-{high:g} nm for source {source!r}, "
-            f"got {centre[outside][0]:g}"
+            f"`wavelength_nm` must be within {low:g}-{high:g} nm for source {source!r}, got {centre[outside][0]:g}"
         )
     if fwhm_nm is None:
         return jnp.asarray(np.interp(centre, table_nm, table))

@@ -15,9 +15,7 @@ def hat_weights(x: Float[Array, " *shape"], nodes: Float[Array, " node"]) -> Flo
     **Valid:** beyond the end nodes the end value holds (weights do not extrapolate).
     """
     lower, upper = nodes[:-1], nodes[1:]
-    fraction = (x[..., None] - jnp.expand_dims(lower, range(x.ndim))) / jnp.expand_dims(
-        upper - lower, range(x.ndim)
-    )
+    fraction = (x[..., None] - jnp.expand_dims(lower, range(x.ndim))) / jnp.expand_dims(upper - lower, range(x.ndim))
     ramp = jnp.clip(fraction, 0.0, 1.0)
     ones = jnp.ones_like(ramp[..., :1])
     return jnp.concatenate([ones, ramp], axis=-1) - jnp.concatenate([ramp, 0.0 * ones], axis=-1)

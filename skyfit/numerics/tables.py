@@ -50,9 +50,7 @@ def _columns(name: str) -> dict[str, np.ndarray]:
                 header = cells
                 continue
             if len(cells) != len(header):
-                raise ValueError(
-                    f"{path.name}, row {number}: expected {len(header)} cells, found {len(cells)}"
-                )
+                raise ValueError(f"{path.name}, row {number}: expected {len(header)} cells, found {len(cells)}")
             rows.append([_number(path.name, number, *pair) for pair in zip(header, cells, strict=True)])
     if header is None or not rows:
         raise ValueError(f"{path.name}: expected a header row and data rows, found none")

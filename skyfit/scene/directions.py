@@ -72,9 +72,7 @@ def hemisphere(count: int = 343, max_zenith: float = np.pi / 2) -> Directions:
     **Source:** Swinbank & Purser 2006, Fibonacci grids. 343 is the number Preetham 1999, sec. 3.2, simulated.
     """
     if count < 1 or not 0.0 < max_zenith <= np.pi / 2 + 1e-9:
-        raise ValueError(
-            f"`count` must be >= 1 and `max_zenith` in (0, pi/2], got {count} and {max_zenith}"
-        )
+        raise ValueError(f"`count` must be >= 1 and `max_zenith` in (0, pi/2], got {count} and {max_zenith}")
     index = np.arange(count) + 0.5
     cap = 1.0 - np.cos(max_zenith)
     golden_angle = np.pi * (3.0 - np.sqrt(5.0))

@@ -56,8 +56,13 @@ class Sky:
 
     def __post_init__(self):
         for name in (
-            "radiance", "sigma", "view_zenith", "view_azimuth", "wavelength_nm",
-            "sun_zenith", "sun_azimuth",
+            "radiance",
+            "sigma",
+            "view_zenith",
+            "view_azimuth",
+            "wavelength_nm",
+            "sun_zenith",
+            "sun_azimuth",
         ):
             value = getattr(self, name)
             if value is None and name == "sigma":
@@ -85,8 +90,7 @@ class Sky:
     def _check_shapes(self):
         if self.radiance.ndim != 3:
             raise ValueError(
-                "`radiance` must have the axes time, direction, wavelength, "
-                f"got shape {self.radiance.shape}"
+                f"`radiance` must have the axes time, direction, wavelength, got shape {self.radiance.shape}"
             )
         times, directions, wavelengths = self.radiance.shape
         if 0 in self.radiance.shape:
@@ -179,9 +183,7 @@ class Sky:
         wanted = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
         own = self.wavelength_nm
         if wanted.ndim != 1 or not np.all((wanted >= own[0]) & (wanted <= own[-1])):
-            raise ValueError(
-                f"`wavelength_nm` must lie in [{own[0]:g}, {own[-1]:g}] nm, got {_extremes(wanted)}"
-            )
+            raise ValueError(f"`wavelength_nm` must lie in [{own[0]:g}, {own[-1]:g}] nm, got {_extremes(wanted)}")
         below = np.searchsorted(own, wanted, side="right") - 1
         above = np.minimum(below + 1, len(own) - 1)
         # A wavelength that is hit exactly has one neighbour: itself.

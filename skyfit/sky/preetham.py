@@ -126,9 +126,7 @@ class Preetham(eqx.Module):
         # float32 pi/2 is above pi/2
         bad = ~((sun >= 0.0) & (sun <= math.pi / 2 + 1e-6))
         if bad.any():
-            raise ValueError(
-                f"`sun_zenith` must be between 0 and pi/2, sun above the horizon, got {sun[bad][0]:g} rad"
-            )
+            raise ValueError(f"`sun_zenith` must be between 0 and pi/2, sun above the horizon, got {sun[bad][0]:g} rad")
 
     def valid(self, turbidity: Float[ArrayLike, ""], sun_zenith: Float[ArrayLike, ""]) -> Bool[Array, ""]:
         """Whether the model is within its range; a flag for batches, to be mapped with `vmap`.

@@ -158,9 +158,7 @@ def stream_paths(
     return down, up
 
 
-def sunlit(
-    height: Float[Array, "*shape"], cosine: Float[Array, "*shape"], geometry: Geometry
-) -> Bool[Array, "*shape"]:
+def sunlit(height: Float[Array, "*shape"], cosine: Float[Array, "*shape"], geometry: Geometry) -> Bool[Array, "*shape"]:
     """Whether the ray from `height` toward the sun at `cosine` misses the ground."""
     if geometry == "flat":
         return cosine > 0.0

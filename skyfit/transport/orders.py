@@ -71,9 +71,7 @@ class OrdersOfScattering(AbstractSolver):
     @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
         """Within about 2 % of `fine`."""
-        return cls(
-            streams=4, modes=6, levels=20, orders=6, nodes=16, spectral_nodes=6, geometry=geometry
-        )
+        return cls(streams=4, modes=6, levels=20, orders=6, nodes=16, spectral_nodes=6, geometry=geometry)
 
     @classmethod
     def normal(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
@@ -83,9 +81,7 @@ class OrdersOfScattering(AbstractSolver):
     @classmethod
     def fine(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
         """The reference of the house."""
-        return cls(
-            streams=16, modes=20, levels=100, orders=24, nodes=64, spectral_nodes=0, geometry=geometry
-        )
+        return cls(streams=16, modes=20, levels=100, orders=24, nodes=64, spectral_nodes=0, geometry=geometry)
 
     @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
@@ -141,9 +137,7 @@ class _Field(NamedTuple):
     top_flux: Float[Array, " wavelength"]
 
 
-def _scaled_optics(
-    constituents: tuple[AbstractConstituent, ...], wavelength_nm, count: int
-) -> _Scaled:
+def _scaled_optics(constituents: tuple[AbstractConstituent, ...], wavelength_nm, count: int) -> _Scaled:
     """Delta-M: the forward peak beyond moment `count` - 1 counts as unscattered (Wiscombe 1977)."""
     depth = optics(constituents, wavelength_nm)
     extinction, scattering, moments = [], [], []
@@ -188,9 +182,7 @@ def _layers(solver: OrdersOfScattering, atmosphere: Atmosphere, scene: Scene, wa
     sun_depth = slant.T @ scaled.extinction
     lit = sunlit(height, cosine, solver.geometry)
     beam = jnp.where(lit[:, None], jnp.exp(-sun_depth), 0.0)
-    harmonics = associated_legendre(
-        jnp.cos(scene.sun_zenith), jnp.sin(scene.sun_zenith), solver.modes, count
-    )
+    harmonics = associated_legendre(jnp.cos(scene.sun_zenith), jnp.sin(scene.sun_zenith), solver.modes, count)
     return _Layers(
         height,
         depth,
@@ -240,9 +232,7 @@ def _solve(solver: OrdersOfScattering, layers: _Layers) -> _Field:
         at_top, up = jax.lax.scan(step, start, (up_decay, up_source, up_path.turn), reverse=True)
         down = jnp.concatenate([dark[None], down])
         up = jnp.concatenate([up, start[None]])
-        moments = jnp.einsum("lmn,kmnw->lmkw", to_moment, down) + parity * jnp.einsum(
-            "lmn,kmnw->lmkw", to_moment, up
-        )
+        moments = jnp.einsum("lmn,kmnw->lmkw", to_moment, down) + parity * jnp.einsum("lmn,kmnw->lmkw", to_moment, up)
         return moments, flux, jnp.einsum("n,nw->w", flux_weight, at_top[0])
 
     # first order: the beam, exponential within each layer
@@ -311,9 +301,7 @@ def _multiple(
         return jnp.einsum("lmd,lmkw->dkw", basis, layers.moments[:, None] * moments)
 
     first, second = phi_functions(slant)
-    per_layer = (first - second) * source(field.moments[:, :, :-1]) + second * source(
-        field.moments[:, :, 1:]
-    )
+    per_layer = (first - second) * source(field.moments[:, :, :-1]) + second * source(field.moments[:, :, 1:])
     radiance = jnp.sum(jnp.exp(-below) * slant * per_layer, axis=1)
     return jnp.where(above_horizon(view.zenith)[:, None], radiance, 0.0)
 

@@ -31,9 +31,7 @@ class ViewPath(NamedTuple):
     column: Float[Array, "direction node constituent"]
 
 
-def view_path(
-    constituents: tuple[AbstractConstituent, ...], scene: Scene, nodes: int, geometry: Geometry
-) -> ViewPath:
+def view_path(constituents: tuple[AbstractConstituent, ...], scene: Scene, nodes: int, geometry: Geometry) -> ViewPath:
     """Quadrature points along each view: densities with weights, and columns eye - point - sun.
 
     **Arguments:** `nodes`, points per view. **Returns:** `ViewPath`; `source` is density times weight,

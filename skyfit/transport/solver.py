@@ -43,9 +43,7 @@ class Optics(NamedTuple):
     scattering: Float[Array, "constituent wavelength"]
 
 
-def optics(
-    constituents: tuple[AbstractConstituent, ...], wavelength_nm: Float[Array, " wavelength"]
-) -> Optics:
+def optics(constituents: tuple[AbstractConstituent, ...], wavelength_nm: Float[Array, " wavelength"]) -> Optics:
     """Extinction and scattering optical depth, one row a constituent; absorbers scatter nothing."""
     if not constituents:
         empty = jnp.zeros((0, *wavelength_nm.shape), wavelength_nm.dtype)

@@ -1,0 +1,354 @@
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import xarray
+
+import skyfit
+from skyfit.fit import PARAMETERS
+
+
+WAVELENGTHS = "420:680:20"
+
+
+@pytest.fixture(scope="session")
+def skyfit_command(checkout, tmp_path_factory):
+    """The program in a process of its own; all calls share a folder for compiled code."""
+    cache = tmp_path_factory.mktemp("cache")
+    place = {"COLUMNS": "80", "XDG_CACHE_HOME": str(cache), "PYTHONPATH": str(checkout)}
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_", "COLUMNS"))} | place
+
+    def call(*arguments, cwd, check=True):
+        program = [sys.executable, "-W", "error", "-c", "from skyfit.cli import main; main()"]
+        done = subprocess.run(
+            [*program, *map(str, arguments)], cwd=cwd, env=environment, capture_output=True, text=True, timeout=500
+        )
+        assert "Traceback" not in done.stderr, done.stderr
+        if check:
+            assert done.returncode == 0, done.stderr
+            assert done.stderr.strip() == ""
+        return done
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def chain(skyfit_command, tmp_path_factory):
+    """A sky simulated and inverted: the folder with sky.nc and fit/, and what the two calls printed."""
+    folder = tmp_path_factory.mktemp("chain")
+    simulated = skyfit_command(
+        "simulate", "--sun-zenith", 60, "--turbidity", 3, "--solver", "single", "--geometry", "flat",
+        "--preset", "draft", "--wavelengths", WAVELENGTHS, "--fwhm", 5, "--out", "sky.nc", cwd=folder,
+    )  # fmt: skip
+    inverted = skyfit_command(
+        "invert", "sky.nc", "--free", "turbidity, angstrom_exponent", "--solver", "single", "--geometry", "flat",
+        "--preset", "draft", "--out", "fit", cwd=folder,
+    )  # fmt: skip
+    return folder, simulated.stdout, inverted.stdout
+
+
+def narrow(text: str) -> bool:
+    return all(len(line) <= 80 for line in text.splitlines())
+
+
+def test_simulate_writes_a_sky_that_read_takes(chain):
+    folder, printed, _ = chain
+    sky = skyfit.read(folder / "sky.nc")
+    assert sky.radiance.shape == (1, 343, 14) and sky.usable.all()
+    assert np.degrees(sky.sun_zenith) == pytest.approx([60.0])
+    assert np.degrees(sky.sun_azimuth) == pytest.approx([180.0])
+    assert sky.fwhm_nm == 5.0 and sky.altitude_m == 0.0 and np.isnat(sky.time).all()
+    assert "sky.nc" in printed and "343 directions, 14 wavelengths" in printed and narrow(printed)
+
+
+def test_the_simulated_sky_is_the_solvers_own(chain):
+    folder, _, _ = chain
+    sky = skyfit.read(folder / "sky.nc")
+    scene = skyfit.Scene.from_degrees(60.0, skyfit.hemisphere(343), sky.wavelength_nm, 180.0, fwhm_nm=5.0)
+    solver = skyfit.SingleScattering.draft("flat")
+    expected = solver.radiance(skyfit.Atmosphere.from_turbidity(3.0), scene)
+    np.testing.assert_allclose(sky.radiance[0], expected, rtol=1e-4)
+
+
+def test_invert_gives_the_turbidity_back(chain):
+    folder, _, printed = chain
+    record = json.loads((folder / "fit" / "fit.json").read_text())
+    (time,) = record["times"]
+    turbidity = time["parameters"]["turbidity"]
+    assert turbidity["value"] == pytest.approx(3.0, abs=2e-3)
+    assert time["parameters"]["angstrom_exponent"]["value"] == pytest.approx(1.3, abs=2e-3)
+    assert turbidity["unit"] == "1" and 0.0 < turbidity["sigma"] < 0.1
+    assert (turbidity["at_bound"], turbidity["determined"]) == (False, True)
+    assert "successful" in printed and "turbidity" in printed and "held fixed" in printed
+    assert "RMSE over all" in printed and "60.00" in printed and "180.00" in printed
+    assert "all of these are determined by the data" in printed
+    assert narrow(printed)
+
+
+def test_fit_json_has_the_keys_of_its_schema(chain):
+    folder, _, _ = chain
+    record = json.loads((folder / "fit" / "fit.json").read_text())
+    assert set(record) == {
+        "schema", "version", "skyfit_version", "source", "solver", "geometry", "instrument", "station",
+        "atmosphere", "free", "shared", "fixed", "times", "total_rmse", "notes",
+    }  # fmt: skip
+    assert (record["schema"], record["version"], record["source"]) == ("skyfit.fit", 1, "sky.nc")
+    assert record["solver"] == {"name": "SingleScattering", "nodes": 12, "geometry": "flat"}
+    assert record["geometry"] == "flat" and record["instrument"] == {"fwhm_nm": 5.0}
+    assert set(record["station"]) == {"latitude_deg", "longitude_deg", "altitude_m", "pressure_pa"}
+    assert record["station"]["altitude_m"] == 0.0 and record["station"]["latitude_deg"] is None
+    assert record["free"] == ["turbidity", "angstrom_exponent"]
+    assert record["shared"] == {"parameters": {}, "correlation": []}
+    assert all(set(entry) == {"value", "unit"} for entry in record["fixed"].values())
+    assert set(record["fixed"]) == set(PARAMETERS) - {
+        "turbidity", "aerosol_optical_depth", "angstrom_exponent", "asymmetry_second", "forward_fraction"
+    }  # fmt: skip
+    (time,) = record["times"]
+    assert set(time) == {
+        "time", "sun_zenith_deg", "sun_azimuth_deg", "parameters", "correlation", "result", "steps", "rmse",
+        "rmse_unit", "samples", "masked", "reduced_chi_square", "undetermined",
+    }  # fmt: skip
+    assert time["time"] is None and time["result"] == "successful" and time["undetermined"] == []
+    assert (time["sun_zenith_deg"], time["sun_azimuth_deg"]) == pytest.approx((60.0, 180.0))
+    for entry in time["parameters"].values():
+        assert set(entry) == {"value", "unit", "sigma", "at_bound", "determined"}
+    assert np.shape(time["correlation"]) == (2, 2) and time["correlation"][0][0] == pytest.approx(1.0)
+    assert time["samples"] == 343 * 14 and time["masked"] == {}
+    assert time["rmse"] == record["total_rmse"] < 1e-4 and time["rmse_unit"] == "W m-2 sr-1 nm-1"
+
+
+def test_fit_nc_and_png_go_with_it(chain):
+    folder, _, _ = chain
+    assert sorted(path.name for path in (folder / "fit").iterdir()) == ["fit.json", "fit.nc", "fit.png"]
+    sky = skyfit.read(folder / "sky.nc")
+    with xarray.open_dataset(folder / "fit" / "fit.nc") as fields:
+        assert fields["model"].dims == fields["residual"].dims == ("time", "direction", "wavelength")
+        np.testing.assert_allclose(fields["wavelength"], sky.wavelength_nm)
+        np.testing.assert_allclose(fields["model"] - fields["residual"], sky.radiance, rtol=1e-5)
+    assert (folder / "fit" / "fit.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("name", ["predicted.nc", "predicted.csv"])
+def test_predict_reproduces_the_sky(chain, skyfit_command, name):
+    folder, _, _ = chain
+    done = skyfit_command("predict", "fit/fit.json", "--at", "sky.nc", "--out", name, cwd=folder)
+    sky, predicted = skyfit.read(folder / "sky.nc"), skyfit.read(folder / name)
+    assert "1 x 343 x 14" in done.stdout and narrow(done.stdout)
+    order = np.lexsort((predicted.view_azimuth, predicted.view_zenith))
+    same = np.lexsort((sky.view_azimuth, sky.view_zenith))
+    np.testing.assert_allclose(predicted.view_zenith[order], sky.view_zenith[same], atol=1e-6)
+    np.testing.assert_allclose(predicted.radiance[:, order], sky.radiance[:, same], rtol=1e-3)
+    if name.endswith(".nc"):
+        with xarray.open_dataset(folder / name) as fields:
+            with xarray.open_dataset(folder / "fit" / "fit.nc") as fit:
+                np.testing.assert_allclose(fields["radiance"], fit["model"], rtol=1e-6)
+
+
+def test_directions_of_a_file_simulated_to_csv_and_predicted_there(chain, skyfit_command):
+    folder, _, _ = chain
+    (folder / "views.csv").write_text("view_zenith,view_azimuth\n0,0\n40,170\n70,20\n")
+    settings = ("--solver", "single", "--geometry", "flat", "--preset", "draft")
+    done = skyfit_command(
+        "simulate", "--sun-zenith", 60, "--turbidity", 3, "--directions", "views.csv", "--wavelengths", "450,550",
+        "--fwhm", 5, *settings, "--out", "few.csv", cwd=folder,
+    )  # fmt: skip
+    assert "3 directions, 2 wavelengths" in done.stdout
+    few = skyfit.read(folder / "few.csv")
+    np.testing.assert_allclose(np.degrees(few.view_zenith), [0.0, 40.0, 70.0], atol=1e-6)
+    np.testing.assert_allclose(np.degrees(few.view_azimuth), [0.0, 170.0, 20.0], atol=1e-6)
+    np.testing.assert_array_equal(few.wavelength_nm, [450.0, 550.0])
+    skyfit_command("predict", "fit/fit.json", "--at", "few.csv", "--out", "there.nc", cwd=folder)
+    np.testing.assert_allclose(skyfit.read(folder / "there.nc").radiance, few.radiance, rtol=2e-3)
+
+
+def test_what_is_fixed_is_held_and_told(chain, skyfit_command):
+    folder, _, _ = chain
+    done = skyfit_command(
+        "invert", "sky.nc", "--free", "aerosol_optical_depth", "--fix", "angstrom_exponent=1.1", "--fix",
+        "ozone=350", "--solver", "single", "--geometry", "flat", "--preset", "draft", "--out", "held", cwd=folder,
+    )  # fmt: skip
+    record = json.loads((folder / "held" / "fit.json").read_text())
+    assert record["fixed"]["angstrom_exponent"]["value"] == pytest.approx(1.1)
+    assert record["fixed"]["ozone"] == {"value": 350.0, "unit": "DU"}
+    assert "angstrom_exponent 1.1" in " ".join(done.stdout.split()) and narrow(done.stdout)
+    assert list(record["times"][0]["parameters"]) == ["aerosol_optical_depth"]
+
+
+def test_help_fits_a_narrow_window(skyfit_command, tmp_path):
+    done = skyfit_command("--help", cwd=tmp_path)
+    assert all(command in done.stdout for command in ("simulate", "refit", "invert", "predict"))
+    assert narrow(done.stdout)
+
+
+@pytest.fixture
+def folder(chain, tmp_path):
+    """A folder with good and broken files to fail on."""
+    made, _, _ = chain
+    (tmp_path / "sky.nc").symlink_to(made / "sky.nc")
+    (tmp_path / "fit.json").symlink_to(made / "fit" / "fit.json")
+    (tmp_path / "broken.nc").write_bytes((made / "sky.nc").read_bytes()[:2000])
+    (tmp_path / "broken.csv").write_text("view_zenith,view_azimuth\n10,abc\n")
+    (tmp_path / "broken.json").write_text((made / "fit" / "fit.json").read_text()[:500])
+    header = "view_zenith,view_azimuth,wavelength,radiance,sun_zenith,sun_azimuth,time\n"
+    (tmp_path / "night.csv").write_text(header + _rows(95))
+    (tmp_path / "timed.csv").write_text(header + _rows(50))
+    return tmp_path
+
+
+def _rows(sun_zenith):
+    return "".join(
+        f"{zenith},{azimuth},{wavelength},0.1,{sun_zenith},180,2025-06-01T12:00:00Z\n"
+        for zenith in (10, 40)
+        for azimuth in (0, 90)
+        for wavelength in (450, 550, 650)
+    )
+
+
+SIMULATE = ("simulate", "--sun-zenith", "60", "--solver", "single", "--out", "new.nc")
+INVERT = ("invert", "sky.nc", "--solver", "single", "--geometry", "flat", "--preset", "draft", "--out", "new")
+BROKEN = {
+    "both hazes": ((*SIMULATE, "--turbidity", "3", "--aerosol-optical-depth", "0.2"), ["--turbidity", "exactly one"]),
+    "no haze": (SIMULATE, ["--turbidity", "exactly one"]),
+    "turbidity too small": ((*SIMULATE, "--turbidity", "0.5"), ["--turbidity", "0.5"]),
+    "turbidity nan": ((*SIMULATE, "--turbidity", "nan"), ["--turbidity", "nan"]),
+    "sun below the horizon": (
+        ("simulate", "--sun-zenith", "95", "--turbidity", "3", "--out", "new.nc"), ["--sun-zenith", "95"]
+    ),
+    "wavelengths that are none": ((*SIMULATE, "--turbidity", "3", "--wavelengths", "blue"), ["--wavelengths", "'blue'"]),
+    "wavelengths backwards": ((*SIMULATE, "--turbidity", "3", "--wavelengths", "700:400:10"), ["--wavelengths"]),
+    "wavelengths without step": ((*SIMULATE, "--turbidity", "3", "--wavelengths", "400:700"), ["--wavelengths"]),
+    "wavelengths step 0": ((*SIMULATE, "--turbidity", "3", "--wavelengths", "400:700:0"), ["--wavelengths"]),
+    "wavelengths without end": ((*SIMULATE, "--turbidity", "3", "--wavelengths", "400:inf:10"), ["--wavelengths"]),
+    "wavelengths beyond the sun": ((*SIMULATE, "--turbidity", "3", "--wavelengths", "200,500"), ["wavelength", "200"]),
+    "directions missing": ((*SIMULATE, "--turbidity", "3", "--directions", "none.csv"), ["none.csv"]),
+    "directions broken": ((*SIMULATE, "--turbidity", "3", "--directions", "broken.csv"), ["broken.csv", "abc"]),
+    "out of unknown kind": (
+        ("simulate", "--sun-zenith", "60", "--turbidity", "3", "--solver", "single", "--out", "new.txt"), [".txt"]
+    ),
+    "out in no folder": (
+        ("simulate", "--sun-zenith", "60", "--turbidity", "3", "--solver", "single", "--out", "no/new.nc"), ["no"]
+    ),
+    "unknown parameter": ((*INVERT, "--free", "haze"), ["`free`", "'haze'"]),
+    "no parameter": ((*INVERT, "--free", ","), ["`free`"]),
+    "turbidity and depth": ((*INVERT, "--free", "turbidity,aerosol_optical_depth"), ["both turbidity"]),
+    "fixed and free": ((*INVERT, "--free", "ozone", "--fix", "ozone=300"), ["--fix", "--free", "ozone"]),
+    "fix nonsense": ((*INVERT, "--free", "turbidity", "--fix", "nonsense"), ["--fix", "'nonsense'"]),
+    "fix without value": ((*INVERT, "--free", "turbidity", "--fix", "ozone"), ["--fix", "'ozone'"]),
+    "fix no number": ((*INVERT, "--free", "turbidity", "--fix", "ozone=much"), ["--fix", "much"]),
+    "fix nan": ((*INVERT, "--free", "turbidity", "--fix", "ozone=nan"), ["--fix", "ozone", "nan"]),
+    "fix out of range": ((*INVERT, "--free", "turbidity", "--fix", "asymmetry=2"), ["--fix", "asymmetry", "2"]),
+    "fix what is not there": ((*INVERT, "--free", "turbidity", "--fix", "forward_fraction=0.8"), ["forward_fraction"]),
+    "fix the haze that is free": (
+        (*INVERT, "--free", "aerosol_optical_depth", "--fix", "turbidity=3"), ["--fix", "turbidity"]
+    ),
+    "fix the haze twice": (
+        (*INVERT, "--free", "ozone", "--fix", "turbidity=3", "--fix", "aerosol_optical_depth=0.2"), ["--fix"]
+    ),
+    "fix one thing twice": ((*INVERT, "--free", "turbidity", "--fix", "ozone=300", "--fix", "ozone=310"), ["--fix", "ozone"]),
+    "sky missing": (("invert", "none.nc", "--out", "new"), ["none.nc"]),
+    "sky broken": (("invert", "broken.nc", "--out", "new"), ["broken.nc"]),
+    "table broken": (("invert", "broken.csv", "--out", "new"), ["broken.csv"]),
+    "night": (
+        ("invert", "night.csv", "--free", "turbidity", "--solver", "single", "--out", "new"), ["sun", "horizon"]
+    ),
+    "too many parameters": (
+        ("invert", "timed.csv", "--free", ",".join(list(PARAMETERS)[1:]), "--solver", "single", "--out", "new"),
+        ["12 usable samples", "14 free"],
+    ),
+    "out is a file": ((*INVERT[:-1], "fit.json", "--free", "turbidity"), ["--out", "fit.json"]),
+    "refit out is a file": (("refit", "--out", "fit.json"), ["--out", "fit.json"]),
+    "refit of few directions": (("refit", "--directions", "3", "--out", "new"), ["--directions", "3"]),
+    "fit missing": (("predict", "none.json", "--at", "sky.nc", "--out", "new.nc"), ["none.json"]),
+    "fit broken": (("predict", "broken.json", "--at", "sky.nc", "--out", "new.nc"), ["broken.json"]),
+    "fit is a sky": (("predict", "sky.nc", "--at", "sky.nc", "--out", "new.nc"), ["sky.nc"]),
+    "place missing": (("predict", "fit.json", "--at", "none.nc", "--out", "new.nc"), ["none.nc"]),
+    "prediction of unknown kind": (("predict", "fit.json", "--at", "sky.nc", "--out", "new.png"), [".png"]),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_broken_call_is_one_line_and_exit_code_2(folder, skyfit_command, case):
+    arguments, parts = BROKEN[case]
+    before = sorted(path.name for path in folder.iterdir())
+    done = skyfit_command(*arguments, cwd=folder, check=False)
+    assert done.returncode == 2, done.stdout + done.stderr
+    lines = [line for line in done.stderr.splitlines() if line.strip()]
+    assert len(lines) == 1 and lines[0].startswith("skyfit: "), done.stderr
+    assert all(part in lines[0] for part in parts), lines[0]
+    # no file, and no folder either
+    assert sorted(path.name for path in folder.iterdir()) == before
+    assert done.stdout == ""
+
+
+def test_a_time_that_was_not_fitted_cannot_be_predicted(folder, skyfit_command):
+    record = json.loads((folder / "fit.json").read_text())
+    record["times"][0]["time"] = "2025-06-01T11:00:00Z"
+    (folder / "timed.json").write_text(json.dumps(record))
+    done = skyfit_command("predict", "timed.json", "--at", "timed.csv", "--out", "new.nc", cwd=folder, check=False)
+    assert done.returncode == 2 and not (folder / "new.nc").exists()
+    (line,) = [line for line in done.stderr.splitlines() if line.strip()]
+    assert "2025-06-01T12:00:00" in line and "was not fitted" in line and "2025-06-01T11:00:00" in line
+
+
+@pytest.mark.parametrize("arguments", [("nonsense",), ("simulate", "--out", "new.nc"), ("invert", "--free", "ozone")])
+def test_a_call_that_typer_refuses_ends_with_2_as_well(skyfit_command, tmp_path, arguments):
+    done = skyfit_command(*arguments, cwd=tmp_path, check=False)
+    assert done.returncode == 2 and done.stdout == "" and "Error" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failed_prediction_keeps_the_file_that_was_there(folder, skyfit_command):
+    (folder / "old.nc").write_bytes(b"kept")
+    done = skyfit_command("predict", "fit.json", "--at", "broken.nc", "--out", "old.nc", cwd=folder, check=False)
+    assert done.returncode == 2 and (folder / "old.nc").read_bytes() == b"kept"
+
+
+ASD = ("measured", "kider2014", "2013-05-27___10.00.00")
+STATION = ("--latitude", 42.443449, "--longitude", -76.481962)
+
+
+def test_a_folder_of_instrument_files_needs_the_offset_of_its_clock(shared, skyfit_command, tmp_path):
+    done = skyfit_command("invert", shared.joinpath(*ASD), *STATION, "--out", "new", cwd=tmp_path, check=False)
+    assert done.returncode == 2 and list(tmp_path.iterdir()) == []
+    (line,) = [line for line in done.stderr.splitlines() if line.strip()]
+    assert "utc_offset" in line and ASD[-1] in line
+
+
+def test_a_folder_of_instrument_files_is_inverted(shared, skyfit_command, tmp_path):
+    done = skyfit_command(
+        "invert", shared.joinpath(*ASD), *STATION, "--utc-offset", -4, "--free", "turbidity,asymmetry,pointing_azimuth",
+        "--solver", "single", "--geometry", "flat", "--preset", "draft", "--out", "asd", cwd=tmp_path,
+    )  # fmt: skip
+    (time,) = json.loads((tmp_path / "asd" / "fit.json").read_text())["times"]
+    assert time["time"].startswith("2013-05-27T14:0") and time["result"] == "successful"
+    # the sun at 10:00 EDT in Ithaca
+    assert time["sun_zenith_deg"] == pytest.approx(43.5, abs=0.5)
+    assert time["samples"] > 1000 and 0.0 < time["rmse"] < 0.1
+    assert narrow(done.stdout)
+    assert all(np.isfinite(entry["sigma"]) for entry in time["parameters"].values())
+
+
+@pytest.mark.slow
+def test_refit_writes_coefficients_and_a_picture(skyfit_command, tmp_path):
+    done = skyfit_command("refit", "--directions", 60, "--preset", "draft", "--geometry", "flat", "--out", "r", cwd=tmp_path)
+    assert sorted(path.name for path in (tmp_path / "r").iterdir()) == ["coefficients.json", "skies.png"]
+    assert narrow(done.stdout) and "published" in done.stdout and "refitted" in done.stdout
+    record = json.loads((tmp_path / "r" / "coefficients.json").read_text())
+    assert record["overall"]["refitted"]["luminance"] < 0.1
+    # a row for each sky, and the two of all skies
+    table = [line for line in done.stdout.splitlines() if line[:1] == " " and line.strip()[:1].isdigit()]
+    assert len(table) == 60
+
+
+@pytest.mark.slow
+def test_the_demo_recovers_the_sample(checkout, skyfit_command, tmp_path):
+    free = "aerosol_optical_depth,angstrom_exponent,single_scattering_albedo,asymmetry,ground_albedo,ozone"
+    sample = checkout / "data" / "skies" / "sample.nc"
+    done = skyfit_command("invert", sample, "--free", free, "--out", "demo", cwd=tmp_path)
+    (time,) = json.loads((tmp_path / "demo" / "fit.json").read_text())["times"]
+    assert time["parameters"]["aerosol_optical_depth"]["value"] == pytest.approx(0.18, abs=0.01)
+    assert time["parameters"]["angstrom_exponent"]["value"] == pytest.approx(1.35, abs=0.1)
+    assert narrow(done.stdout)

@@ -1,0 +1,195 @@
+"""Few wavelengths for the multiple part; gradients, transforms and dtypes of the solvers."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from skies import (
+    COLOURS,
+    compiled_sky,
+    HASTE,
+    hazy,
+    names_of,
+    SKIES,
+    sky_of,
+    slow,
+    SOLVERS,
+    unit_scene,
+    views,
+)
+
+import skyfit
+from skyfit.atmosphere import (
+    Aerosol,
+    Ozone,
+    Rayleigh,
+)
+from skyfit.transport import OrdersOfScattering, SingleScattering
+
+
+# --- the multiple part at few wavelengths
+
+SPECTRUM = np.linspace(380.0, 780.0, 21)
+
+
+@eqx.filter_jit
+def few_and_all(atmosphere, sun_deg):
+    """The same sky with 8 spectral nodes and with all 21 wavelengths; five streams do for the comparison."""
+    view = views([0.0, 40.0, 70.0, 85.0], [5.0, 90.0, 180.0])
+    solvers = (OrdersOfScattering(4, 4, 20, 6, 24, n, "spherical") for n in (8, 0))
+    return tuple(s.radiance(atmosphere, skyfit.Scene.from_degrees(sun_deg, view, SPECTRUM)) for s in solvers)
+
+
+@pytest.mark.parametrize("haze, sun", [(0.05, 30.0), (0.1, 60.0), (0.1, 75.0), (0.4, 75.0)])
+def test_few_spectral_nodes_give_the_whole_spectrum(haze, sun):
+    few, whole = few_and_all(skyfit.Atmosphere.from_optical_depth(jnp.asarray(haze)), jnp.asarray(sun))
+    np.testing.assert_allclose(few, whole, rtol=2e-3)
+
+
+@pytest.mark.parametrize("haze", [0.1, 1.0, 3.0, 10.0, 50.0])
+@pytest.mark.parametrize("sun", [30.0, 75.0, 85.0, 90.0])
+def test_few_spectral_nodes_never_run_away(haze, sun):
+    """Single scattering may vanish where multiple does not: interpolating their ratio must not blow up."""
+    few, whole = few_and_all(skyfit.Atmosphere.from_optical_depth(jnp.asarray(haze)), jnp.asarray(sun))
+    assert np.all(few >= 0.0)
+    assert float(jnp.max(jnp.abs(few - whole))) < 0.05 * float(jnp.max(whole))
+
+
+# --- gradients, transforms, dtypes
+
+
+@pytest.mark.parametrize(
+    "name, reverse",
+    [
+        ("single flat", True),
+        ("single spherical", True),
+        ("orders spherical", True),
+        slow("orders flat", True),
+    ],
+)
+def test_gradients_are_central_differences_for_every_parameter(x64, name, reverse):
+    """Away from the horizon: both modes, every leaf of the atmosphere and the sun's zenith angle."""
+    sky = sky_of(SOLVERS[name], skyfit.Directions(np.radians([5.0, 50.0, 80.0]), np.array([0.5, 1.5, 3.0])))
+    start = hazy(), jnp.asarray(1.0)
+    leaves, tree = jax.tree.flatten(start)
+    flat = jnp.stack(leaves)
+    scale = jnp.maximum(jnp.abs(flat), 0.05)
+
+    def field(relative):
+        return sky(*jax.tree.unflatten(tree, list(flat + relative * scale)))
+
+    step = 1e-5 * jnp.eye(len(leaves))
+    around = jax.jit(lambda s: jax.lax.map(field, s), compiler_options=HASTE)(jnp.concatenate([step, -step]))
+    central = (around[: len(leaves)] - around[len(leaves) :]) / 2e-5
+    zero = jnp.zeros(len(leaves))
+    forward = jnp.moveaxis(jax.jit(jax.jacfwd(field), compiler_options=HASTE)(zero), -1, 0)
+    largest = float(jnp.max(jnp.abs(around)))
+    weight = jnp.cos(jnp.arange(central[0].size)).reshape(central[0].shape)
+    if reverse:
+        backward = jax.jit(jax.grad(lambda r: jnp.sum(weight * field(r))), compiler_options=HASTE)(zero)
+    for i, leaf in enumerate(names_of(start)):
+        np.testing.assert_allclose(forward[i], central[i], atol=1e-5 * largest, err_msg=leaf)
+        if reverse:
+            expected = float(jnp.sum(weight * forward[i]))
+            assert float(backward[i]) == pytest.approx(expected, abs=1e-9 * largest * weight.size), leaf
+    # no parameter is lost on the way, but for the ground in single scattering
+    without = [leaf for i, leaf in enumerate(names_of(start)) if float(jnp.max(jnp.abs(forward[i]))) < 1e-7 * largest]
+    assert all("ground" in leaf for leaf in without) and (not without or name.startswith("single")), without
+
+
+@pytest.mark.parametrize("name", ["single flat", "single spherical", slow("orders flat"), slow("orders spherical")])
+def test_jit_eager_vmap_and_a_loop_agree(name):
+    solver = SOLVERS[name]
+    tiny = (
+        SingleScattering(3, solver.geometry)
+        if name.startswith("single")
+        else OrdersOfScattering(2, 2, 2, 2, 3, 2, solver.geometry)
+    )
+    sky = sky_of(tiny, views([20.0, 70.0], [10.0, 150.0]), np.array([450.0, 550.0, 650.0]))
+    atmospheres = [hazy(haze=0.1), hazy(haze=0.4, ground=0.5)]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *atmospheres)
+    suns = jnp.array([0.5, 1.2])
+    compiled = jax.jit(sky)
+    loop = jnp.stack([compiled(a, s) for a, s in zip(atmospheres, suns, strict=True)])
+    np.testing.assert_allclose(jax.jit(jax.vmap(sky))(stacked, suns), loop, rtol=3e-5)
+    with jax.disable_jit():
+        np.testing.assert_allclose(sky(atmospheres[0], suns[0]), loop[0], rtol=3e-5)
+
+
+@pytest.mark.parametrize("name", ["orders spherical", slow("orders flat")])
+def test_a_batch_of_skies_is_the_loop_over_them(name):
+    zenith, azimuth = np.linspace(0.1, 1.5, 9), np.linspace(0.0, 3.0, 9)
+    atmospheres, suns = [hazy(haze=0.1), hazy(haze=0.4, ground=0.5)], [0.5, 1.2]
+    loop = np.stack([compiled_sky(name, a, s, zenith, azimuth) for a, s in zip(atmospheres, suns, strict=True)])
+    batch = jax.jit(jax.vmap(sky_of(SOLVERS[name], skyfit.Directions(zenith, azimuth))), compiler_options=HASTE)(
+        jax.tree.map(lambda *leaves: jnp.stack(leaves), *atmospheres), jnp.array(suns)
+    )
+    np.testing.assert_allclose(batch, loop, rtol=3e-5)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_float32_is_near_float64(name):
+    def sky():
+        zenith = np.radians([0.0, 45.0, 85.0])[:, None]
+        return compiled_sky(name, hazy(), 1.1, zenith, 0.3 + np.array([0.0, 1.5, 3.0]))
+
+    single = sky()
+    assert single.dtype == np.float32
+    with jax.enable_x64(True):
+        np.testing.assert_allclose(single, sky(), rtol=3e-4)
+
+
+def operations(solver, atmosphere, wavelength):
+    """How many exp and dot operations the traced program holds, loops and branches included."""
+    view = views([30.0], [0.0, 90.0])
+    traced = jax.make_jaxpr(lambda a: solver.radiance(a, unit_scene(40.0, view, wavelength)))(atmosphere)
+
+    def inner(value):
+        if isinstance(value, jax.extend.core.ClosedJaxpr):
+            return [value.jaxpr]
+        if isinstance(value, jax.extend.core.Jaxpr):
+            return [value]
+        return [j for v in value for j in inner(v)] if isinstance(value, tuple | list) else []
+
+    def count(jaxpr):
+        total = 0
+        for equation in jaxpr.eqns:
+            total += equation.primitive.name in ("exp", "exp2", "logistic", "dot_general")
+            total += sum(count(j) for value in equation.params.values() for j in inner(value))
+        return total
+
+    return count(traced.jaxpr), len(str(traced))
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_what_is_absent_costs_nothing(name):
+    air, haze, ozone = Rayleigh(), Aerosol(0.1), Ozone()
+    atmospheres = [
+        skyfit.Atmosphere(air, None, None),
+        skyfit.Atmosphere(air, None, ozone),
+        skyfit.Atmosphere(air, haze, None),
+        skyfit.Atmosphere(air, haze, ozone),
+    ]
+    alone, with_ozone, with_haze, all_three = (operations(SOLVERS[name], a, COLOURS) for a in atmospheres)
+    for less, more in (
+        (alone, with_ozone),
+        (alone, with_haze),
+        (with_ozone, all_three),
+        (with_haze, all_three),
+    ):
+        assert less[0] < more[0] and less[1] < more[1]
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_change_of_value_compiles_nothing(name):
+    compiled_sky(name, hazy(), 0.7, 0.5, 0.0)
+    before = SKIES[name, jnp.result_type(float)]._cache_size()
+    compiled_sky(name, hazy(haze=0.9, ozone=100.0), 1.2, np.array([0.1, 1.0]), 2.0)
+    assert SKIES[name, jnp.result_type(float)]._cache_size() == before == 1
+
+
+def test_a_solver_says_which_geometries_there_are():
+    for make in (SingleScattering, OrdersOfScattering):
+        with pytest.raises((ValueError, TypeError), match="geometry"):
+            make(geometry="round")

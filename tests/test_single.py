@@ -1,0 +1,204 @@
+"""Single scattering against integrals written down again; limits and symmetries of both solvers."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from skies import (
+    EARTH_RADIUS,
+    haze_over_air,
+    ONE,
+    phase_functions,
+    SINGLE,
+    SMALL,
+    SOLVERS,
+    unit_scene,
+    unit_vector,
+    views,
+)
+
+import skyfit
+from skyfit.atmosphere import (
+    Ground,
+    Rayleigh,
+)
+from skyfit.transport import SingleScattering
+
+
+# --- single scattering against integrals written down again
+
+
+def flat_integral(sun, view, azimuth, depths, heights, albedos):
+    mu, mu_sun = np.cos(np.radians([view, sun]))
+    phases = phase_functions(unit_vector(sun, 0.0) @ unit_vector(view, azimuth))
+
+    def integrand(height):
+        share = [np.exp(-height / h) for h in heights]
+        above = sum(t * s for t, s in zip(depths, share, strict=True))
+        attenuation = np.exp(-(sum(depths) - above) / mu - above / mu_sun)
+        emitted = sum(p * a * t * s / h for p, a, t, s, h in zip(phases, albedos, depths, share, heights, strict=True))
+        return emitted * attenuation / mu
+
+    return quad(integrand, 0.0, 3e5, points=[100.0, 1e3, 5e3, 2e4, 6e4], epsabs=0.0, epsrel=1e-10, limit=400)[0]
+
+
+def test_flat_single_scattering_is_the_integral(x64):
+    depths, heights, albedos = (0.25, 0.3), (8000.0, 1200.0), (1.0, 0.9)
+    zenith, azimuth = [0.0, 40.0, 75.0, 85.0], [0.0, 90.0, 180.0]
+    for sun in (0.0, 50.0, 80.0, 88.0):
+        expected = [[flat_integral(sun, v, a, depths, heights, albedos) for a in azimuth] for v in zenith]
+        found = SingleScattering.fine("flat").radiance(haze_over_air(*depths), unit_scene(sun, views(zenith, azimuth)))
+        np.testing.assert_allclose(found[:, 0], np.ravel(expected), rtol=1e-5)
+
+
+def panels(start, edges, nodes=24):
+    """Composite Gauss-Legendre: distances and weights."""
+    x, weight = np.polynomial.legendre.leggauss(nodes)
+    edges = start + np.concatenate([[0.0], edges])
+    half = 0.5 * np.diff(edges)[:, None]
+    return (half * (x + 1.0) + edges[:-1, None]).ravel(), (half * weight).ravel()
+
+
+def spherical_integral(sun, view, azimuth, depths, heights, albedos):
+    """Cartesian: points along the view, from each a straight line to the sun; a cylinder of shadow behind the Earth."""
+    sunward, viewward = unit_vector(sun, 0.0), unit_vector(view, azimuth)
+    eye = np.array([0.0, 0.0, EARTH_RADIUS])
+
+    def density(points):
+        height = np.linalg.norm(points, axis=-1) - EARTH_RADIUS
+        return np.stack([t / h * np.exp(-height / h) for t, h in zip(depths, heights, strict=True)], axis=-1)
+
+    def shaded(distance):
+        point = eye + distance * viewward
+        along = point @ sunward
+        return along < 0.0 and np.linalg.norm(point - along * sunward) < EARTH_RADIUS
+
+    start, lit = 0.0, 5e6
+    if sun > 90.0:
+        for _ in range(60):
+            middle = 0.5 * (start + lit)
+            start, lit = (middle, lit) if shaded(middle) else (start, middle)
+    distance, weight = panels(start, np.geomspace(200.0, 2e6, 14), 12)
+    points = eye + distance[:, None] * viewward
+    before, before_weight = panels(0.0, np.linspace(0.0, 1.0, 9)[1:])
+    to_eye = np.array([d * before_weight @ density(eye + d * before[:, None] * viewward).sum(-1) for d in distance])
+    # toward the sun, from the point of the line that lies nearest to the Earth's centre
+    along = points @ sunward
+    outward, outward_weight = panels(0.0, np.geomspace(200.0, 3e6, 14))
+
+    def to_space(point, direction):
+        return outward_weight @ density(point + outward[:, None] * direction).sum(-1)
+
+    def to_sun(point, behind):
+        if behind >= 0.0:
+            return to_space(point, sunward)
+        nearest = point - behind * sunward
+        back = behind * before
+        return to_space(nearest, sunward) - behind * before_weight @ density(nearest + back[:, None] * sunward).sum(-1)
+
+    to_the_sun = np.array([to_sun(p, b) for p, b in zip(points, along, strict=True)])
+    phases = np.array(phase_functions(sunward @ viewward))
+    emitted = density(points) @ (phases * albedos)
+    return weight @ (emitted * np.exp(-to_eye - to_the_sun))
+
+
+def test_the_independent_integral_is_good_to_a_part_in_a_million():
+    """In its flat limit, far from the horizon: curvature is of the order of 1e-3 there, and is seen."""
+    arguments = (30.0, 40.0, 60.0, (0.25, 0.3), (8000.0, 1200.0), (1.0, 0.9))
+    assert spherical_integral(*arguments) == pytest.approx(flat_integral(*arguments), rel=2e-3)
+
+
+@pytest.mark.parametrize("sun", [30.0, 60.0, 80.0, 86.0, 89.0, 90.0, 91.0, 92.0])
+def test_spherical_single_scattering_is_the_integral(x64, sun):
+    depths, heights, albedos = (0.25, 0.3), (8000.0, 1200.0), (1.0, 0.9)
+    zenith, azimuth = [0.0, 45.0, 80.0], [10.0, 90.0, 170.0]
+    expected = np.ravel([[spherical_integral(sun, v, a, depths, heights, albedos) for a in azimuth] for v in zenith])
+    scene = unit_scene(sun, views(zenith, azimuth))
+    fine = SingleScattering.fine("spherical").radiance(haze_over_air(*depths), scene)[:, 0]
+    np.testing.assert_allclose(fine, expected, rtol=1e-3)
+    normal = SingleScattering.normal("spherical").radiance(haze_over_air(*depths), scene)[:, 0]
+    np.testing.assert_allclose(normal, expected, rtol=3e-3 if sun <= 90.0 else 1.5e-2)
+
+
+def test_flat_quadrature_converges_fast_in_nodes(x64):
+    scene, atmosphere = unit_scene(65.0, views([0.0, 60.0, 80.0], [20.0, 100.0])), haze_over_air(0.25, 0.3)
+    best = SingleScattering(96, "flat").radiance(atmosphere, scene)
+    errors = [
+        float(jnp.max(jnp.abs(SingleScattering(n, "flat").radiance(atmosphere, scene) / best - 1.0)))
+        for n in (6, 12, 24, 48)
+    ]
+    for few, many in zip(errors, errors[1:], strict=False):
+        # better than fourth order
+        assert many < few / 16.0 or many < 1e-7
+    assert errors[2] < 1e-4
+
+
+def test_spherical_quadrature_converges_in_nodes(x64):
+    scene, atmosphere = unit_scene(65.0, views([0.0, 60.0, 80.0], [20.0, 100.0])), haze_over_air(0.25, 0.3)
+    best = SingleScattering(96, "spherical").radiance(atmosphere, scene)
+    errors = [
+        float(jnp.max(jnp.abs(SingleScattering(n, "spherical").radiance(atmosphere, scene) / best - 1.0)))
+        for n in (6, 12, 24)
+    ]
+    # the 16 nodes of the columns are always the same: 2e-4 of noise on the nodes along the view
+    assert errors[1] < errors[0] / 3.0 and errors[2] < 3e-4
+
+
+# --- limits and symmetries
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_thin_sky_is_its_optical_depth_over_the_cosine(x64, name):
+    """L -> E0 sum p omega tau / mu; the second order is tau times smaller."""
+    thin, sun, zenith, azimuth = 1e-7, 40.0, [0.0, 30.0, 60.0], [0.0, 120.0]
+    found = SOLVERS[name].radiance(haze_over_air(thin, 2.0 * thin), unit_scene(sun, views(zenith, azimuth)))[:, 0]
+    expected = []
+    for view in zenith:
+        for turn in azimuth:
+            air, haze = phase_functions(unit_vector(sun, 0.0) @ unit_vector(view, turn))
+            expected.append(thin * (air + 2.0 * 0.9 * haze) / np.cos(np.radians(view)))
+    # the airmass of a sphere is smaller: -H tan^2 / R, 0.4 % at 60 degrees
+    np.testing.assert_allclose(found, expected, rtol=1e-5 if name.endswith("flat") else 5e-3)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_thin_air_is_blue_by_the_fourth_power(x64, name):
+    wavelength = np.array([400.0, 500.0, 700.0])
+    atmosphere = skyfit.Atmosphere(Rayleigh(pressure=0.1, formula="paper"), None, None, Ground(0.0))
+    found = SOLVERS[name].radiance(atmosphere, unit_scene(50.0, views([10.0, 60.0], [0.0, 90.0]), wavelength))
+    scaled = np.asarray(found) * wavelength**4
+    np.testing.assert_allclose(scaled, scaled[:, :1] * np.ones(3), rtol=2e-5)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_the_sky_is_symmetric_about_the_suns_meridian_and_turns_with_it(x64, name):
+    atmosphere, zenith, azimuth = (
+        haze_over_air(0.2, 0.2, ground=0.2),
+        np.array([20.0, 60.0, 80.0]),
+        np.array([15.0, 80.0, 165.0]),
+    )
+
+    def sky(turn, sign):
+        view = views(zenith, turn + sign * azimuth)
+        return SOLVERS[name].radiance(atmosphere, skyfit.Scene.from_degrees(55.0, view, ONE, turn, irradiance="unit"))
+
+    first = sky(0.0, 1.0)
+    np.testing.assert_allclose(sky(0.0, -1.0), first, rtol=1e-10)
+    np.testing.assert_allclose(sky(217.0, 1.0), first, rtol=1e-10)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_radiance_is_linear_in_the_suns_irradiance(name):
+    view, wavelength = views([30.0], [50.0]), np.array([450.0, 650.0])
+    one = unit_scene(40.0, view, wavelength)
+    two = skyfit.Scene.from_degrees(40.0, view, wavelength, irradiance=np.array([3.0, 0.5]))
+    atmosphere = skyfit.Atmosphere.from_turbidity(3.0)
+    ratio = SOLVERS[name].radiance(atmosphere, two) / SOLVERS[name].radiance(atmosphere, one)
+    np.testing.assert_allclose(ratio[0], [3.0, 0.5], rtol=1e-6)
+
+
+def test_orders_exceed_single_scattering_and_brighten_with_the_ground():
+    scene = unit_scene(50.0, views([0.0, 60.0], [0.0, 90.0]))
+    single = SINGLE["flat"].radiance(haze_over_air(0.3, 0.2), scene)
+    dark, bright = (SMALL["flat"].radiance(haze_over_air(0.3, 0.2, ground=a), scene) for a in (0.0, 0.8))
+    assert np.all(dark > single) and np.all(bright > 1.1 * dark)
