@@ -27,6 +27,7 @@ from .files import (
     write_sky,
 )
 from .fit import (
+    check_free,
     DEFAULT_FREE,
     Fit,
     invert,
@@ -35,6 +36,7 @@ from .fit import (
     predict,
     Refit,
     refit,
+    SkyModel,
     start_model,
     station_pressure,
     time_names,
@@ -108,13 +110,15 @@ def _table(title: str) -> Table:
 def _wavelengths(text: str) -> np.ndarray:
     """Wavelengths from "first:last:step" or a list with commas, nm."""
     try:
-        parts = [float(part) for part in text.replace(":", ",").split(",")]
+        parts = np.array([float(part) for part in text.replace(":", ",").split(",")])
     except ValueError:
-        raise ValueError(f"`--wavelengths` must be first:last:step or a list in nm, got {text!r}") from None
+        parts = np.array([np.nan])
+    if not np.all(np.isfinite(parts)):
+        raise ValueError(f"`--wavelengths` must be first:last:step or a list in nm, got {text!r}")
     if ":" not in text:
-        return np.array(parts)
-    if len(parts) != 3 or parts[2] <= 0.0 or parts[1] < parts[0]:
-        raise ValueError(f"`--wavelengths` must be first:last:step in nm, got {text!r}")
+        return parts
+    if parts.size != 3 or parts[2] <= 0.0 or not 0.0 <= parts[1] - parts[0] <= 1e4 * parts[2]:
+        raise ValueError(f"`--wavelengths` must be first:last:step in nm, 10000 steps at most, got {text!r}")
     return np.arange(parts[0], parts[1] + 0.5 * parts[2], parts[2])
 
 
@@ -188,9 +192,10 @@ def refit_command(
 ):
     """Refit Preetham's coefficients against skies simulated on the spot."""
     _in_range("--directions", directions, 20, 100000)
-    _folder(out)
+    _check_folder(out)
     with _progress("simulating 60 skies and fitting") as report:
         result = refit(_solver(solver, preset, geometry), directions=directions, progress=report)
+    out.mkdir(parents=True, exist_ok=True)
     write_coefficients(result, out / "coefficients.json")
     _draw_refit(result, out / "skies.png")
     _print_refit(result)
@@ -247,20 +252,33 @@ def invert_command(
     """Recover turbidity or aerosol optical depth, and more, from a measured sky."""
     names = tuple(name.strip() for name in free.split(",") if name.strip())
     measured = _read(sky, latitude, longitude, utc_offset, altitude, fwhm)
-    start = start_model(names, station_pressure(measured)[0])
-    known = dict(_known(text) for text in fix or [])
-    if set(known) & set(names):
-        raise ValueError(f"`--fix` and `--free` both name {', '.join(sorted(set(known) & set(names)))}")
-    start = with_values(start, tuple(known), list(known.values()))
-    _folder(out)
+    start = _start(names, fix or [], measured)
+    _check_folder(out)
     with _progress("compiling and fitting") as report:
         fit = invert(measured, names, _solver(solver, preset, geometry), start, progress=report)
+    out.mkdir(parents=True, exist_ok=True)
     save(fit, out / "fit.json")
     save(fit, out / "fit.nc")
     plot(fit, out / "fit.png")
     _print_fit(fit)
     written = ", ".join(str(out / f"fit.{end}") for end in ("json", "nc", "png"))
     console.print(f"written: {written}", highlight=False)
+
+
+def _start(free: tuple[str, ...], fix: list[str], sky: Sky) -> SkyModel:
+    """The first guess, with the values that the user knows."""
+    start = start_model(free, station_pressure(sky)[0])
+    check_free(free, start)
+    known: dict[str, float] = {}
+    for name, value in map(_known, fix):
+        if name in known or name in free:
+            raise ValueError(f"`--fix` must name each parameter once and none of `--free`, got {name!r}")
+        known[name] = value
+    try:
+        check_free((*free, *known), start)
+    except ValueError as error:
+        raise ValueError(f"`--fix` with `--free`: {error}") from None
+    return with_values(start, tuple(known), list(known.values()))
 
 
 def _known(text: str) -> tuple[str, float]:
@@ -334,11 +352,11 @@ def _read(path: Path, latitude, longitude, utc_offset, altitude, fwhm) -> Sky:
     return read(path, latitude=latitude, longitude=longitude, utc_offset=utc_offset, altitude=altitude, fwhm_nm=fwhm)
 
 
-def _folder(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"`--out` must be a folder that can be made, got {path}: {error.strerror}") from None
+def _check_folder(path: Path) -> None:
+    """Before the work: whether the folder is there or can be made; it is made when there is something to write."""
+    nearest = next(place for place in (path, *path.absolute().parents) if place.exists())
+    if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
+        raise ValueError(f"`--out` must be a folder that can be made, got {path}")
 
 
 def main() -> None:

@@ -6,6 +6,7 @@ from .inversion import (
     station_pressure as station_pressure,
 )
 from .parameters import (
+    check_free as check_free,
     PARAMETERS as PARAMETERS,
     SkyModel as SkyModel,
     start_model as start_model,
