@@ -1,11 +1,14 @@
 """Skies and solvers that the tests of the solver floor share."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import skyfit
+from skyfit import Sky
 from skyfit.atmosphere import (
     Aerosol,
     Exponential,
@@ -16,6 +19,7 @@ from skyfit.atmosphere import (
     Rayleigh,
     RayleighPhase,
 )
+from skyfit.fit import Fit, Fitted, invert, predict, start_model, with_values
 from skyfit.transport import OrdersOfScattering, SingleScattering
 
 
@@ -125,3 +129,40 @@ def compiled_sky(name, atmosphere, sun, zenith, azimuth):
 
 def names_of(tree):
     return [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(tree)]
+
+
+MADE_WITH = SingleScattering(8, "flat")
+
+
+def make_sky() -> Sky:
+    """Two times, ten directions, four wavelengths; two samples masked."""
+    zenith = np.radians([5.0, 30.0, 30.0, 30.0, 55.0, 55.0, 55.0, 75.0, 75.0, 75.0])
+    azimuth = np.radians([0.0, 0.0, 120.0, 240.0, 60.0, 180.0, 300.0, 0.0, 120.0, 240.0])
+    shape = (2, zenith.size, 4)
+    usable = np.ones(shape, bool)
+    usable[0, 3], usable[1, 4, 2] = False, False
+    return Sky(
+        radiance=np.full(shape, 0.1),
+        sigma=None,
+        usable=usable,
+        view_zenith=zenith,
+        view_azimuth=azimuth,
+        wavelength_nm=np.array([440.0, 500.0, 600.0, 760.0]),
+        sun_zenith=np.radians([40.0, 65.0]),
+        sun_azimuth=np.radians([150.0, 250.0]),
+        time=np.array(["2024-06-01T10:00", "NaT"], "datetime64[ns]"),
+        altitude_m=300.0,
+        masked={"suspect": 5},
+        notes=("made up",),
+        source="made.nc",
+    )
+
+
+def fit_of_made_sky(free, truth, noise: float) -> Fit:
+    """A fit to `make_sky` filled by the solver `MADE_WITH` for the true values, with seeded relative noise."""
+    sky = make_sky()
+    model = with_values(start_model(free, 97000.0), free, truth)
+    alone = [Fitted(sky.time[t : t + 1], (model,), MADE_WITH, 6.0) for t in range(2)]
+    clean = np.concatenate([predict(fitted, sky.at(t)) for t, fitted in enumerate(alone)])
+    radiance = clean * np.random.default_rng(0).normal(1.0, noise, clean.shape)
+    return invert(replace(sky, radiance=np.where(sky.usable, radiance, np.nan)), free, MADE_WITH, fwhm_nm=6.0)

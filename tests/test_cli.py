@@ -15,17 +15,23 @@ WAVELENGTHS = "420:680:20"
 
 
 @pytest.fixture(scope="session")
-def skyfit_command(checkout, tmp_path_factory):
-    """The program in a process of its own; all calls share a folder for compiled code."""
-    cache = tmp_path_factory.mktemp("cache")
-    place = {"COLUMNS": "80", "XDG_CACHE_HOME": str(cache), "PYTHONPATH": str(checkout)}
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_", "COLUMNS"))} | place
+def environment(checkout, tmp_path_factory):
+    """A narrow window, and one folder for the compiled code of all calls."""
+    place = {"COLUMNS": "80", "XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache")), "PYTHONPATH": str(checkout)}
+    return {k: v for k, v in os.environ.items() if not k.startswith("JAX_")} | place
+
+
+def python(program, *arguments, environment, cwd):
+    command = [sys.executable, "-W", "error", "-c", program, *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=500)
+
+
+@pytest.fixture(scope="session")
+def skyfit_command(environment):
+    """The program in a process of its own."""
 
     def call(*arguments, cwd, check=True):
-        program = [sys.executable, "-W", "error", "-c", "from skyfit.cli import main; main()"]
-        done = subprocess.run(
-            [*program, *map(str, arguments)], cwd=cwd, env=environment, capture_output=True, text=True, timeout=500
-        )
+        done = python("from skyfit.cli import main; main()", *arguments, environment=environment, cwd=cwd)
         assert "Traceback" not in done.stderr, done.stderr
         if check:
             assert done.returncode == 0, done.stderr
@@ -183,19 +189,23 @@ def test_help_fits_a_narrow_window(skyfit_command, tmp_path):
     assert narrow(done.stdout)
 
 
+def files_to_fail_on(made, folder):
+    """Good and broken files in a new folder."""
+    folder.mkdir()
+    (folder / "sky.nc").symlink_to(made / "sky.nc")
+    (folder / "fit.json").symlink_to(made / "fit" / "fit.json")
+    (folder / "broken.nc").write_bytes((made / "sky.nc").read_bytes()[:2000])
+    (folder / "broken.csv").write_text("view_zenith,view_azimuth\n10,abc\n")
+    (folder / "broken.json").write_text((made / "fit" / "fit.json").read_text()[:500])
+    header = "view_zenith,view_azimuth,wavelength,radiance,sun_zenith,sun_azimuth,time\n"
+    (folder / "night.csv").write_text(header + _rows(95))
+    (folder / "timed.csv").write_text(header + _rows(50))
+    return folder
+
+
 @pytest.fixture
 def folder(chain, tmp_path):
-    """A folder with good and broken files to fail on."""
-    made, _, _ = chain
-    (tmp_path / "sky.nc").symlink_to(made / "sky.nc")
-    (tmp_path / "fit.json").symlink_to(made / "fit" / "fit.json")
-    (tmp_path / "broken.nc").write_bytes((made / "sky.nc").read_bytes()[:2000])
-    (tmp_path / "broken.csv").write_text("view_zenith,view_azimuth\n10,abc\n")
-    (tmp_path / "broken.json").write_text((made / "fit" / "fit.json").read_text()[:500])
-    header = "view_zenith,view_azimuth,wavelength,radiance,sun_zenith,sun_azimuth,time\n"
-    (tmp_path / "night.csv").write_text(header + _rows(95))
-    (tmp_path / "timed.csv").write_text(header + _rows(50))
-    return tmp_path
+    return files_to_fail_on(chain[0], tmp_path / "work")
 
 
 def _rows(sun_zenith):
@@ -215,21 +225,28 @@ BROKEN = {
     "turbidity too small": ((*SIMULATE, "--turbidity", "0.5"), ["--turbidity", "0.5"]),
     "turbidity nan": ((*SIMULATE, "--turbidity", "nan"), ["--turbidity", "nan"]),
     "sun below the horizon": (
-        ("simulate", "--sun-zenith", "95", "--turbidity", "3", "--out", "new.nc"), ["--sun-zenith", "95"]
+        ("simulate", "--sun-zenith", "95", "--turbidity", "3", "--out", "new.nc"),
+        ["--sun-zenith", "95"],
     ),
-    "wavelengths that are none": ((*SIMULATE, "--turbidity", "3", "--wavelengths", "blue"), ["--wavelengths", "'blue'"]),
+    "wavelengths that are none": (
+        (*SIMULATE, "--turbidity", "3", "--wavelengths", "blue"),
+        ["--wavelengths", "'blue'"],
+    ),
     "wavelengths backwards": ((*SIMULATE, "--turbidity", "3", "--wavelengths", "700:400:10"), ["--wavelengths"]),
     "wavelengths without step": ((*SIMULATE, "--turbidity", "3", "--wavelengths", "400:700"), ["--wavelengths"]),
     "wavelengths step 0": ((*SIMULATE, "--turbidity", "3", "--wavelengths", "400:700:0"), ["--wavelengths"]),
     "wavelengths without end": ((*SIMULATE, "--turbidity", "3", "--wavelengths", "400:inf:10"), ["--wavelengths"]),
+    "wavelengths without number": ((*SIMULATE, "--turbidity", "3", "--wavelengths", "400:700:1e-9"), ["--wavelengths"]),
     "wavelengths beyond the sun": ((*SIMULATE, "--turbidity", "3", "--wavelengths", "200,500"), ["wavelength", "200"]),
     "directions missing": ((*SIMULATE, "--turbidity", "3", "--directions", "none.csv"), ["none.csv"]),
     "directions broken": ((*SIMULATE, "--turbidity", "3", "--directions", "broken.csv"), ["broken.csv", "abc"]),
     "out of unknown kind": (
-        ("simulate", "--sun-zenith", "60", "--turbidity", "3", "--solver", "single", "--out", "new.txt"), [".txt"]
+        ("simulate", "--sun-zenith", "60", "--turbidity", "3", "--solver", "single", "--out", "new.txt"),
+        [".txt"],
     ),
     "out in no folder": (
-        ("simulate", "--sun-zenith", "60", "--turbidity", "3", "--solver", "single", "--out", "no/new.nc"), ["no"]
+        ("simulate", "--sun-zenith", "60", "--turbidity", "3", "--solver", "single", "--out", "no/new.nc"),
+        ["no"],
     ),
     "unknown parameter": ((*INVERT, "--free", "haze"), ["`free`", "'haze'"]),
     "no parameter": ((*INVERT, "--free", ","), ["`free`"]),
@@ -242,18 +259,21 @@ BROKEN = {
     "fix out of range": ((*INVERT, "--free", "turbidity", "--fix", "asymmetry=2"), ["--fix", "asymmetry", "2"]),
     "fix what is not there": ((*INVERT, "--free", "turbidity", "--fix", "forward_fraction=0.8"), ["forward_fraction"]),
     "fix the haze that is free": (
-        (*INVERT, "--free", "aerosol_optical_depth", "--fix", "turbidity=3"), ["--fix", "turbidity"]
+        (*INVERT, "--free", "aerosol_optical_depth", "--fix", "turbidity=3"),
+        ["--fix", "turbidity"],
     ),
     "fix the haze twice": (
-        (*INVERT, "--free", "ozone", "--fix", "turbidity=3", "--fix", "aerosol_optical_depth=0.2"), ["--fix"]
+        (*INVERT, "--free", "ozone", "--fix", "turbidity=3", "--fix", "aerosol_optical_depth=0.2"),
+        ["--fix"],
     ),
-    "fix one thing twice": ((*INVERT, "--free", "turbidity", "--fix", "ozone=300", "--fix", "ozone=310"), ["--fix", "ozone"]),
+    "fix one thing twice": (
+        (*INVERT, "--free", "turbidity", "--fix", "ozone=300", "--fix", "ozone=310"),
+        ["--fix", "ozone"],
+    ),
     "sky missing": (("invert", "none.nc", "--out", "new"), ["none.nc"]),
     "sky broken": (("invert", "broken.nc", "--out", "new"), ["broken.nc"]),
     "table broken": (("invert", "broken.csv", "--out", "new"), ["broken.csv"]),
-    "night": (
-        ("invert", "night.csv", "--free", "turbidity", "--solver", "single", "--out", "new"), ["sun", "horizon"]
-    ),
+    "night": (("invert", "night.csv", "--free", "turbidity", "--solver", "single", "--out", "new"), ["sun", "horizon"]),
     "too many parameters": (
         ("invert", "timed.csv", "--free", ",".join(list(PARAMETERS)[1:]), "--solver", "single", "--out", "new"),
         ["12 usable samples", "14 free"],
@@ -269,18 +289,63 @@ BROKEN = {
 }
 
 
+# many calls in one process, which saves the imports; each in a folder of its own
+MANY = """
+import contextlib, io, json, os, pathlib, sys, traceback
+from skyfit.cli import main
+report = {}
+for case, arguments in json.load(open("cases.json")).items():
+    os.chdir(pathlib.Path(sys.argv[1]) / case)
+    sys.argv[1:], place = arguments, sys.argv[1]
+    out, error = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
+        try:
+            main()
+            code = 0
+        except SystemExit as end:
+            code = end.code
+        except BaseException:
+            traceback.print_exc()
+            code = 1
+    sys.argv[1:] = [place]
+    report[case] = [code, out.getvalue(), error.getvalue()]
+print(json.dumps(report))
+"""
+
+
+@pytest.fixture(scope="session")
+def failures(chain, environment, tmp_path_factory):
+    """What each broken call ended with, and what its folder held before and after."""
+    place = tmp_path_factory.mktemp("broken")
+
+    def files(case):
+        return sorted(str(path.relative_to(place / case)) for path in (place / case).rglob("*"))
+
+    before = {case: files_to_fail_on(chain[0], place / case) and files(case) for case in BROKEN}
+    (place / "cases.json").write_text(json.dumps({case: call for case, (call, _) in BROKEN.items()}))
+    done = python(MANY, place, environment=environment, cwd=place)
+    assert done.returncode == 0, done.stderr
+    return {case: (*end, before[case], files(case)) for case, end in json.loads(done.stdout).items()}
+
+
 @pytest.mark.parametrize("case", BROKEN)
-def test_a_broken_call_is_one_line_and_exit_code_2(folder, skyfit_command, case):
-    arguments, parts = BROKEN[case]
-    before = sorted(path.name for path in folder.iterdir())
-    done = skyfit_command(*arguments, cwd=folder, check=False)
-    assert done.returncode == 2, done.stdout + done.stderr
-    lines = [line for line in done.stderr.splitlines() if line.strip()]
-    assert len(lines) == 1 and lines[0].startswith("skyfit: "), done.stderr
-    assert all(part in lines[0] for part in parts), lines[0]
-    # no file, and no folder either
-    assert sorted(path.name for path in folder.iterdir()) == before
-    assert done.stdout == ""
+def test_a_broken_call_is_one_line_and_exit_code_2(failures, case):
+    code, printed, error, before, after = failures[case]
+    assert "Traceback" not in error, error
+    assert code == 2, printed + error
+    lines = [line for line in error.splitlines() if line.strip()]
+    assert len(lines) == 1 and lines[0].startswith("skyfit: "), error
+    assert all(part in lines[0] for part in BROKEN[case][1]), lines[0]
+    # nothing written, nor left beside what was to be written
+    assert after == before
+    assert printed == ""
+
+
+def test_a_broken_call_in_a_process_of_its_own(folder, skyfit_command):
+    done = skyfit_command("invert", "broken.nc", "--out", "new", cwd=folder, check=False)
+    assert done.returncode == 2 and done.stdout == "" and not (folder / "new").exists()
+    (line,) = done.stderr.strip().splitlines()
+    assert line.startswith("skyfit: broken.nc")
 
 
 def test_a_time_that_was_not_fitted_cannot_be_predicted(folder, skyfit_command):
@@ -293,7 +358,7 @@ def test_a_time_that_was_not_fitted_cannot_be_predicted(folder, skyfit_command):
     assert "2025-06-01T12:00:00" in line and "was not fitted" in line and "2025-06-01T11:00:00" in line
 
 
-@pytest.mark.parametrize("arguments", [("nonsense",), ("simulate", "--out", "new.nc"), ("invert", "--free", "ozone")])
+@pytest.mark.parametrize("arguments", [("nonsense",), ("simulate", "--out", "new.nc")])
 def test_a_call_that_typer_refuses_ends_with_2_as_well(skyfit_command, tmp_path, arguments):
     done = skyfit_command(*arguments, cwd=tmp_path, check=False)
     assert done.returncode == 2 and done.stdout == "" and "Error" in done.stderr
@@ -333,7 +398,9 @@ def test_a_folder_of_instrument_files_is_inverted(shared, skyfit_command, tmp_pa
 
 @pytest.mark.slow
 def test_refit_writes_coefficients_and_a_picture(skyfit_command, tmp_path):
-    done = skyfit_command("refit", "--directions", 60, "--preset", "draft", "--geometry", "flat", "--out", "r", cwd=tmp_path)
+    done = skyfit_command(
+        "refit", "--directions", 60, "--preset", "draft", "--geometry", "flat", "--out", "r", cwd=tmp_path
+    )
     assert sorted(path.name for path in (tmp_path / "r").iterdir()) == ["coefficients.json", "skies.png"]
     assert narrow(done.stdout) and "published" in done.stdout and "refitted" in done.stdout
     record = json.loads((tmp_path / "r" / "coefficients.json").read_text())

@@ -7,52 +7,21 @@ import numpy as np
 import pytest
 from matplotlib import pyplot
 from matplotlib.image import imread
+from skies import fit_of_made_sky
 
-from skyfit import hemisphere, Sky
+from skyfit import hemisphere
 from skyfit.draw import plot, plot_skies
 from skyfit.draw.dome import cells, interpolated, pixels, place
-from skyfit.fit import Fit, Fitted, invert, predict, start_model
-from skyfit.fit.parameters import with_values
-from skyfit.transport import SingleScattering
+from skyfit.fit import Fit
 
 
 FREE = ("turbidity", "asymmetry")
-SOLVER = SingleScattering(8, "flat")
-
-
-def make_sky() -> Sky:
-    """Two times, ten directions, four wavelengths; two samples masked."""
-    zenith = np.radians([5.0, 30.0, 30.0, 30.0, 55.0, 55.0, 55.0, 75.0, 75.0, 75.0])
-    azimuth = np.radians([0.0, 0.0, 120.0, 240.0, 60.0, 180.0, 300.0, 0.0, 120.0, 240.0])
-    shape = (2, zenith.size, 4)
-    usable = np.ones(shape, bool)
-    usable[0, 3], usable[1, 4, 2] = False, False
-    return Sky(
-        radiance=np.full(shape, 0.1),
-        sigma=None,
-        usable=usable,
-        view_zenith=zenith,
-        view_azimuth=azimuth,
-        wavelength_nm=np.array([440.0, 500.0, 600.0, 760.0]),
-        sun_zenith=np.radians([40.0, 65.0]),
-        sun_azimuth=np.radians([150.0, 250.0]),
-        time=np.array(["2024-06-01T10:00", "NaT"], "datetime64[ns]"),
-        altitude_m=300.0,
-        masked={"suspect": 5},
-        notes=("made up",),
-        source="made.nc",
-    )
 
 
 @pytest.fixture(scope="session")
 def fit() -> Fit:
     """A fit to a sky of the solver's own, with noise."""
-    sky = make_sky()
-    truth = with_values(start_model(FREE, 97000.0), FREE, [3.2, 0.72])
-    alone = [Fitted(sky.time[t : t + 1], (truth,), SOLVER, 6.0) for t in range(2)]
-    clean = np.concatenate([predict(fitted, sky.at(t)) for t, fitted in enumerate(alone)])
-    noise = np.random.default_rng(0).normal(1.0, 0.05, clean.shape)
-    return invert(replace(sky, radiance=clean * noise), FREE, SOLVER, fwhm_nm=6.0)
+    return fit_of_made_sky(FREE, [3.2, 0.72], noise=0.05)
 
 
 def picture_of(path) -> np.ndarray:

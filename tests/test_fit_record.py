@@ -9,54 +9,23 @@ import numpy as np
 import pytest
 import xarray
 from hypothesis import given, HealthCheck, settings, strategies as st
+from skies import fit_of_made_sky
 
 import skyfit.files.fit_record as fit_record
-from skyfit import Aerosol, Atmosphere, Sky
+from skyfit import Aerosol, Atmosphere
 from skyfit.atmosphere import CornetteShanks, HenyeyGreenstein, Layered, Rayleigh
 from skyfit.files import load, read, save, write_prediction
-from skyfit.fit import Fit, Fitted, invert, predict, SkyModel, start_model
-from skyfit.fit.parameters import with_values
-from skyfit.transport import OrdersOfScattering, SingleScattering
+from skyfit.fit import Fit, predict, SkyModel, start_model
+from skyfit.transport import OrdersOfScattering
 
 
 FREE = ("turbidity", "angstrom_exponent", "asymmetry", "pointing_azimuth")
-SOLVER = SingleScattering(8, "flat")
-
-
-def make_sky() -> Sky:
-    """Two times, ten directions, four wavelengths; two samples masked."""
-    zenith = np.radians([5.0, 30.0, 30.0, 30.0, 55.0, 55.0, 55.0, 75.0, 75.0, 75.0])
-    azimuth = np.radians([0.0, 0.0, 120.0, 240.0, 60.0, 180.0, 300.0, 0.0, 120.0, 240.0])
-    shape = (2, zenith.size, 4)
-    usable = np.ones(shape, bool)
-    usable[0, 3], usable[1, 4, 2] = False, False
-    return Sky(
-        radiance=np.full(shape, 0.1),
-        sigma=None,
-        usable=usable,
-        view_zenith=zenith,
-        view_azimuth=azimuth,
-        wavelength_nm=np.array([440.0, 500.0, 600.0, 760.0]),
-        sun_zenith=np.radians([40.0, 65.0]),
-        sun_azimuth=np.radians([150.0, 250.0]),
-        time=np.array(["2024-06-01T10:00", "NaT"], "datetime64[ns]"),
-        altitude_m=300.0,
-        masked={"suspect": 5},
-        notes=("made up",),
-        source="made.nc",
-    )
 
 
 @pytest.fixture(scope="session")
 def fit() -> Fit:
     """A fit to a sky of the solver's own, with noise."""
-    sky = make_sky()
-    truth = with_values(start_model(FREE, 97000.0), FREE, [3.2, 1.1, 0.72, 1.5])
-    alone = [Fitted(sky.time[t : t + 1], (truth,), SOLVER, 6.0) for t in range(2)]
-    clean = np.concatenate([predict(fitted, sky.at(t)) for t, fitted in enumerate(alone)])
-    noise = np.random.default_rng(0).normal(1.0, 0.01, clean.shape)
-    radiance = np.where(sky.usable, clean * noise, np.nan)
-    return invert(replace(sky, radiance=radiance), FREE, SOLVER, fwhm_nm=6.0)
+    return fit_of_made_sky(FREE, [3.2, 1.1, 0.72, 1.5], noise=0.01)
 
 
 @pytest.fixture(scope="session")

@@ -113,15 +113,12 @@ def test_curved_valleys_end_at_scipys_minimum(dtype, residual, start):
     np.testing.assert_allclose(got.value, expected.x, atol=2e-3)
 
 
-@pytest.mark.parametrize("steps", [1, 3, 5])
-def test_the_path_does_not_depend_on_the_units_of_the_parameters(x64, steps):
+def test_the_path_does_not_depend_on_the_units_of_the_parameters(x64):
     arguments = in_dtype(perez_data(0.02), np.float64)
     unit = jnp.asarray([1e3, 1.0, 1e-4, 7.0, 1e2])
-    plain = unbounded(perez_residual, START, arguments, steps, 1e-12)
-    scaled = unbounded(
-        lambda u, a: perez_residual(u * unit, a), np.array(START) / unit, arguments, steps, 1e-12
-    )
-    assert int(plain.steps) == int(scaled.steps) == steps
+    plain = unbounded(perez_residual, START, arguments, 4, 1e-12)
+    scaled = unbounded(lambda u, a: perez_residual(u * unit, a), np.array(START) / unit, arguments, 4, 1e-12)
+    assert int(plain.steps) == int(scaled.steps) == 4
     np.testing.assert_allclose(scaled.value * unit, plain.value, rtol=1e-6)
 
 
@@ -228,9 +225,7 @@ def test_a_parameter_without_influence_stays_and_spoils_no_other(dtype, place):
 
 
 def test_parameters_that_act_as_one_have_huge_sigmas_and_the_third_has_its_own(x64):
-    got = unbounded(
-        lambda v, _: jnp.stack([v[0] + v[1] - 1.0, v[2] - 2.0, v[2] + v[0] + v[1]]), [3.0, 7.0, 1.0]
-    )
+    got = unbounded(lambda v, _: jnp.stack([v[0] + v[1] - 1.0, v[2] - 2.0, v[2] + v[0] + v[1]]), [3.0, 7.0, 1.0])
     assert result_name(got.result) == "successful"
     np.testing.assert_allclose([got.value[0] + got.value[1], got.value[2]], [0.0, 1.0], atol=1e-4)
     spread, triangle = covariance(got.jacobian, jnp.ones(3))
