@@ -110,12 +110,14 @@ def _table(title: str) -> Table:
 def _wavelengths(text: str) -> np.ndarray:
     """Wavelengths from "first:last:step" or a list with commas, nm."""
     try:
-        parts = np.array([float(part) for part in text.replace(":", ",").split(",")])
+        parts = np.array([float(part) for part in text.split(":" if ":" in text else ",")])
     except ValueError:
         parts = np.array([np.nan])
     if not np.all(np.isfinite(parts)):
         raise ValueError(f"`--wavelengths` must be first:last:step or a list in nm, got {text!r}")
     if ":" not in text:
+        if np.any(np.diff(parts) <= 0.0):
+            raise ValueError(f"`--wavelengths` must increase, got {text!r}")
         return parts
     if parts.size != 3 or parts[2] <= 0.0 or not 0.0 <= parts[1] - parts[0] <= 1e4 * parts[2]:
         raise ValueError(f"`--wavelengths` must be first:last:step in nm, 10000 steps at most, got {text!r}")
@@ -155,6 +157,8 @@ def simulate(
     elif aerosol_optical_depth is not None:
         depth = _in_range("--aerosol-optical-depth", aerosol_optical_depth, 0.0, 5.0)
     _in_range("--sun-zenith", sun_zenith, 0.0, 90.0)
+    if out.suffix not in (".nc", ".csv") or not out.absolute().parent.is_dir():
+        raise ValueError(f"`--out` must be a .nc or .csv file in a folder that is there, got {out}")
     aerosol = Aerosol(
         optical_depth=depth,
         angstrom_exponent=_in_range("--angstrom-exponent", angstrom_exponent, -1.0, 4.0),

@@ -73,8 +73,8 @@ def read_coefficients(path) -> Preetham:
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path.name}: the coefficients are incomplete: {error}") from None
     for name, shape in _SHAPES.items():
-        if arrays[name].shape != shape:
-            raise ValueError(f"{path.name}: `{name}` must have shape {shape}, found {arrays[name].shape}")
+        if arrays[name].shape != shape or not np.all(np.isfinite(arrays[name])):
+            raise ValueError(f"{path.name}: `{name}` must be numbers of shape {shape}, found {arrays[name].shape}")
     return Preetham(
         **{name: as_float(values) for name, values in arrays.items()},
         lowest_turbidity=float(low),

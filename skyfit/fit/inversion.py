@@ -71,15 +71,17 @@ def invert(
     sigma = _sigma(sky, used)
     first = as_float([PARAMETERS[n].unbound(float(PARAMETERS[n].from_leaf(PARAMETERS[n].leaf(start)))) for n in free])
     _, fixed = partition(start, free)
-    columns: dict[str, list] = {name: [] for name in _COLUMNS}
-    for t in range(len(sky.time)):
-        count = int(used[t][:, chosen].sum())
+    counts = [int(used[t][:, chosen].sum()) for t in range(len(sky.time))]
+    for t, count in enumerate(counts):
         if count < len(free):
             raise ValueError(
                 f"`sky` has {count} usable samples at time {t}, fewer than the {len(free)} free parameters"
             )
         if not sky.sun_zenith[t] < 0.5 * np.pi:
             raise ValueError(f"`sky` has the sun at or below the horizon at time {t}: it cannot be inverted")
+    columns: dict[str, list] = {name: [] for name in _COLUMNS}
+    for t in range(len(sky.time)):
+        count = counts[t]
         measured = np.where(used[t], sky.radiance[t], 0.0)[:, chosen]
         weight = np.where(used[t], 1.0 / sigma[t], 0.0)[:, chosen]
         scene = model_at.scene(t, chosen)

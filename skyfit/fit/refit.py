@@ -78,14 +78,14 @@ def refit(
     **Arguments:** `solver`, default `OrdersOfScattering.normal()`; `atmosphere(turbidity)`, traced; the suns
     (degrees) and turbidities, all combinations; `directions` over the sky; `progress(done, of)` by stages.
     **Returns:** `Refit`. **Valid:** sun zenith to 85 degrees.
-    **Errors:** `ValueError` for suns below the horizon or fewer than two turbidities.
+    **Errors:** `ValueError` for fewer than four suns above the horizon or fewer than three turbidities >= 1.
     **Source:** Preetham 1999, sec. 3.2 and A.2; the relative error is what is minimised.
     """
     suns, hazes = np.asarray(sun_zenith_deg, float), np.asarray(turbidity, float)
-    if suns.size < 4 or not np.all((suns >= 0.0) & (suns < 90.0)):
-        raise ValueError(f"`sun_zenith_deg` must hold at least four angles in [0, 90), got {suns.tolist()}")
-    if hazes.size < 3 or not np.all(hazes >= 1.0):
-        raise ValueError(f"`turbidity` must hold at least three values >= 1, got {hazes.tolist()}")
+    if np.unique(suns).size < 4 or not np.all((suns >= 0.0) & (suns < 90.0)):
+        raise ValueError(f"`sun_zenith_deg` must hold at least four different angles in [0, 90), got {suns.tolist()}")
+    if np.unique(hazes).size < 3 or not np.all(hazes >= 1.0):
+        raise ValueError(f"`turbidity` must hold at least three different values >= 1, got {hazes.tolist()}")
     solver = OrdersOfScattering.normal() if solver is None else solver
     report = progress or (lambda done, of: None)
     sun, haze = (grid.ravel() for grid in np.meshgrid(np.radians(suns), hazes, indexing="ij"))

@@ -51,9 +51,11 @@ class MarquardtDescent(optx.AbstractDescent):
             right = orthogonal[: state.projected.size].T @ state.projected
             return -jax.scipy.linalg.solve_triangular(triangle, right)
 
-        everything = damped(jnp.zeros(state.point.shape, bool))
+        # held at the edge: where the cost falls outward, then where the step of the others would still lead out
         at_edge = jnp.abs(state.point) >= self.limit
-        held = at_edge & (jnp.sign(everything) == jnp.sign(state.point))
+        side = jnp.sign(state.point)
+        held = at_edge & (side * (state.triangle.T @ state.projected) <= 0.0)
+        held = held | (at_edge & (jnp.sign(damped(held)) == side))
         moved = jnp.clip(state.point + damped(held), -self.limit, self.limit)
         return moved - state.point, optx.RESULTS.successful
 
@@ -97,6 +99,8 @@ def least_squares(
     unconstrained numbers to values; `start`, unconstrained; `limit`, how far from 0 each may go
     (`LOGISTIC_LIMIT` or inf); `tolerance`, relative and absolute, on the unconstrained numbers and the residual.
     **Returns:** `Solution`; nothing is raised, `result` says how it ended (`result_name`).
+    **Valid:** the derivative of the solution by `arguments` (implicit adjoint) is that of Gauss-Newton: exact where
+    the residuals vanish, off by their share otherwise.
     **Source:** `LevenbergMarquardt`, Jacobian in forward mode.
     """
 
@@ -131,9 +135,22 @@ def covariance(
     **Arguments:** `jacobian` of the whitened residuals; `scale`, a typical size of each parameter, which
     conditions the triangle and says what "not determined" means.
     **Returns:** the covariance, and the triangle R of the scaled Jacobian, whose small singular values are the
-    combinations that the data do not determine. **Valid:** a singular R gives infinite or NaN entries.
-    **Source:** Golub & Van Loan, Matrix Computations, sec. 5.3.
+    combinations that the data do not determine.
+    **Valid:** always; a parameter with a part in a combination without influence has infinite variance and no
+    stated covariance (0), the others are as if such combinations were held.
+    **Source:** Golub & Van Loan, Matrix Computations, sec. 5.3 and 5.5.
     """
     triangle = jnp.linalg.qr(jacobian * scale[None], mode="r")
-    inverse = jax.scipy.linalg.solve_triangular(triangle, jnp.eye(triangle.shape[0], dtype=jacobian.dtype))
-    return (inverse @ inverse.T) * scale[:, None] * scale[None], triangle
+    column = jnp.linalg.norm(triangle, axis=0)
+    unit = jnp.where(column > 0.0, column, 1.0)
+    _, singular, rows = jnp.linalg.svd(triangle / unit[None])
+    rounding = jnp.finfo(jacobian.dtype).eps
+    known = singular > singular.size * rounding * singular[0]
+    inverse = jnp.where(known, 1.0 / jnp.where(known, singular, 1.0), 0.0)
+    within = (rows.T * inverse[None] ** 2) @ rows
+    unknown = jnp.any(~known[:, None] & (jnp.abs(rows) > jnp.sqrt(rounding)), axis=0)
+    size = scale / unit
+    within = within * size[:, None] * size[None]
+    involved = unknown[:, None] | unknown[None]
+    infinite = jnp.where(jnp.eye(size.size, dtype=bool), jnp.inf, 0.0)
+    return jnp.where(involved, infinite, within), triangle

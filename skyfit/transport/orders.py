@@ -338,5 +338,7 @@ def _interpolated_multiple(solver: OrdersOfScattering, atmosphere: Atmosphere, s
     multiple = _multiple(solver, atmosphere, scene, nodes)
     dark = multiple < _DARK
     smooth = jnp.log(jnp.where(dark, _DARK, multiple)) + absorption(nodes)[None]
-    everywhere = jnp.exp(smooth @ chebyshev_weights(place, few).T - absorption(wavelength)[None])
+    exponent = smooth @ chebyshev_weights(place, few).T - absorption(wavelength)[None]
+    # no sky is brighter than e^5 per unit irradiance: what is interpolated between black nodes must not overflow
+    everywhere = jnp.exp(jnp.minimum(exponent, 5.0))
     return jnp.where(jnp.all(dark, axis=1)[:, None], 0.0, everywhere)
