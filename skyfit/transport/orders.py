@@ -52,7 +52,7 @@ class OrdersOfScattering(AbstractSolver):
 
     **Valid:** total optical depth to about 5 (`normal`) and 10 (`fine`): beyond, the orders that are followed have not
     reached the ground and the sky comes out too dark. Flat: sun and view zenith to 85 degrees. Spherical: sun and view
-    zenith to 80 within 1 %, at 85 within 5 %; lower suns only finite.
+    zenith to 80 within 1 % beyond the noise of the Monte Carlo, at 85 within 5 %; lower suns only finite.
     **Source:** Nakajima & Tanaka 1988, JQSRT 40, 51; Wiscombe 1977, J. Atmos. Sci. 34, 1408;
     Lenoble et al. 2007, JQSRT 107, 479 (successive orders).
     """
@@ -70,12 +70,12 @@ class OrdersOfScattering(AbstractSolver):
 
     @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
-        """Within about 2 % of `fine`."""
+        """Median error 0.5 %, some per cent at 85 degrees."""
         return cls(streams=4, modes=6, levels=20, orders=6, nodes=16, spectral_nodes=6, geometry=geometry)
 
     @classmethod
     def normal(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
-        """Within about 0.5 % of `fine`."""
+        """Median error 0.02 % flat and 0.3 % spherical."""
         return cls(geometry=geometry)
 
     @classmethod
