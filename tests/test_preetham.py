@@ -140,9 +140,9 @@ def test_check_range_says_why(turbidity, sun, message):
 
 def test_check_range_passes_the_rest(double):
     model = Preetham.published()
-    model.check_range(1.7, 0.0)
-    model.check_range(12.0, jnp.asarray(math.pi / 2))
-    model.check_range(jnp.array([2.0, 9.0]), jnp.array([0.0, 1.5]))
+    assert model.check_range(1.7, 0.0) is None
+    assert model.check_range(12.0, jnp.asarray(math.pi / 2)) is None
+    assert model.check_range(jnp.array([2.0, 9.0]), jnp.array([0.0, 1.5])) is None
 
 
 def test_valid_flags_a_batch(double):

@@ -67,6 +67,18 @@ class OrdersOfScattering(AbstractSolver):
 
     def __check_init__(self):
         check_geometry(self.geometry)
+        for name, least in {
+            "streams": 1,
+            "modes": 1,
+            "levels": 2,
+            "orders": 2,
+            "nodes": 1,
+            "spectral_nodes": 0,
+        }.items():
+            if getattr(self, name) < least:
+                raise ValueError(f"`{name}` must be at least {least}, got {getattr(self, name)}")
+        if self.modes > 2 * self.streams:
+            raise ValueError(f"`modes` must be at most 2 x `streams`, got {self.modes} for {self.streams}")
 
     @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
@@ -134,7 +146,6 @@ class _Field(NamedTuple):
 
     moments: Float[Array, "moment mode level wavelength"]
     ground_flux: Float[Array, " wavelength"]
-    top_flux: Float[Array, " wavelength"]
 
 
 def _scaled_optics(constituents: tuple[AbstractConstituent, ...], wavelength_nm, count: int) -> _Scaled:
@@ -229,11 +240,11 @@ def _solve(solver: OrdersOfScattering, layers: _Layers) -> _Field:
         flux = jnp.einsum("n,nw->w", flux_weight, at_ground[0])
         reflected = first_mode * (lambert * layers.ground_albedo * (flux + beam_flux))[None, None]
         start = reflected + dark
-        at_top, up = jax.lax.scan(step, start, (up_decay, up_source, up_path.turn), reverse=True)
+        _, up = jax.lax.scan(step, start, (up_decay, up_source, up_path.turn), reverse=True)
         down = jnp.concatenate([dark[None], down])
         up = jnp.concatenate([up, start[None]])
         moments = jnp.einsum("lmn,kmnw->lmkw", to_moment, down) + parity * jnp.einsum("lmn,kmnw->lmkw", to_moment, up)
-        return moments, flux, jnp.einsum("n,nw->w", flux_weight, at_top[0])
+        return moments, flux
 
     # first order: the beam, exponential within each layer
     mode_weight = jnp.asarray(np.where(np.arange(modes) == 0, 1.0, 2.0) / (4.0 * np.pi), dtype)
@@ -242,34 +253,32 @@ def _solve(solver: OrdersOfScattering, layers: _Layers) -> _Field:
     beam = layers.beam[:-1, None, :]
     into_down = (down_slant * exp_mean(sun_slant, down_slant) * beam)[:, None]
     into_up = (up_slant * phi1(sun_slant + up_slant) * beam)[:, None]
-    moments, flux, top = transport(
+    moments, flux = transport(
         to_streams(beam_moments) * into_down,
         to_streams(parity * beam_moments) * into_up,
         layers.sun_cosine * layers.beam[-1],
     )
 
     def order(carry, _):
-        moments, total, flux_total, top_total = carry
+        moments, total, flux_total = carry
         above = layers.moments[:, None] * moments[:, :, :-1]
         below = layers.moments[:, None] * moments[:, :, 1:]
         down_source = down_entry * to_streams(above) + down_leave * to_streams(below)
         up_source = up_leave * to_streams(parity * above) + up_entry * to_streams(parity * below)
-        new, flux, top = transport(down_source, up_source, jnp.zeros_like(layers.beam[-1]))
+        new, flux = transport(down_source, up_source, jnp.zeros_like(layers.beam[-1]))
         before = jnp.sum(moments[0, 0], axis=0)
         # the derivative of a ratio squares its divisor, and a faint sky needs no tail
         lit = before > _DARK**0.5
         ratio = jnp.where(lit, jnp.sum(new[0, 0], axis=0) / jnp.where(lit, before, 1.0), 0.0)
-        carry = (new, total + new, flux_total + flux, top_total + top)
-        return carry, (ratio, flux, top)
+        return (new, total + new, flux_total + flux), (ratio, flux)
 
-    (last, total, flux_total, top_total), (ratio, flux, top) = jax.lax.scan(
-        order, (moments, moments, flux, top), None, length=solver.orders - 1
-    )
+    start = (moments, moments, flux)
+    (last, total, flux_total), (ratio, flux) = jax.lax.scan(order, start, None, length=solver.orders - 1)
     # the orders that follow shrink by one factor: a geometric series closes the azimuthal mean
     factor = jnp.clip(ratio[-1], 0.0, 0.999)
     tail = factor / (1.0 - factor)
     closing = first_mode[None] * tail[None, None, None] * last
-    return _Field(total + closing, flux_total + tail * flux[-1], top_total + tail * top[-1])
+    return _Field(total + closing, flux_total + tail * flux[-1])
 
 
 def _layer_weights(depth, airmass):
