@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..atmosphere import Atmosphere, Tabulated
-from ..light import xyz
+from ..light import xyz, xyz_from_xyY
 from ..scene import angle_between, as_float, Directions, hemisphere, Scene
 from ..sky import Perez, Preetham
 from ..transport import AbstractSolver, OrdersOfScattering
@@ -141,9 +141,8 @@ def model_xyz(model: Preetham, refitted: Refit) -> np.ndarray:
     """XYZ (cd m^-2) of an analytic model in the skies and directions of a refit, `[sky, direction, 3]`."""
     view, sun = refitted.view, as_float(refitted.sun_zenith)
     gamma = angle_between(view.zenith[None], sun[:, None], view.azimuth[None])
-    luminance, x, y = np.asarray(_evaluate(model, view.zenith, gamma, sun, as_float(refitted.turbidity)))
-    safe = np.maximum(y, 1e-6)
-    return np.stack([luminance * x / safe, luminance, luminance * (1.0 - x - y) / safe], axis=-1)
+    luminance, x, y = _evaluate(model, view.zenith, gamma, sun, as_float(refitted.turbidity))
+    return np.asarray(xyz_from_xyY(jnp.stack([x, y, luminance], axis=-1)))
 
 
 @eqx.filter_jit

@@ -317,9 +317,8 @@ def _multiple(
 
 def _radiance(solver: OrdersOfScattering, atmosphere: Atmosphere, scene: Scene):
     constituents = atmosphere.constituents
-    scatterers = scatterer_indices(constituents)
     wavelength = scene.wavelength_nm
-    if not scatterers:
+    if not scatterer_indices(constituents):
         return jnp.zeros((scene.view.zenith.shape[0], wavelength.shape[0]))
     extinction = _scaled_optics(constituents, wavelength, 2 * solver.streams).extinction
     single = single_scattering(constituents, scene, extinction, solver.nodes, solver.geometry)

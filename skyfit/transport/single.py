@@ -180,7 +180,7 @@ class SingleScattering(AbstractSolver):
         """Irradiance on the ground: the direct beam, the sky by quadrature, the ground's reflection."""
         dome, weight = _dome(8, 16)
         sky = eqx.tree_at(lambda s: s.view, scene, dome)
-        diffuse = as_row(weight, scene) @ _radiance(self, atmosphere, sky)
+        diffuse = jnp.asarray(weight, scene.wavelength_nm.dtype) @ _radiance(self, atmosphere, sky)
         extinction = optics(atmosphere.constituents, scene.wavelength_nm).extinction
         beam = transmitted_sun(atmosphere.constituents, scene, extinction, self.geometry)
         direct = scene.solar_irradiance * jnp.maximum(jnp.cos(scene.sun_zenith), 0.0) * beam
@@ -188,15 +188,9 @@ class SingleScattering(AbstractSolver):
         return Fluxes(direct, diffuse, albedo * (direct + diffuse))
 
 
-def as_row(weight: np.ndarray, scene: Scene):
-    """Host-side weights in the scene's dtype."""
-    return jnp.asarray(weight, scene.wavelength_nm.dtype)
-
-
 def _radiance(solver: SingleScattering, atmosphere: Atmosphere, scene: Scene):
     constituents = atmosphere.constituents
-    scatterers = scatterer_indices(constituents)
-    if not scatterers:
+    if not scatterer_indices(constituents):
         return jnp.zeros((scene.view.zenith.shape[0], scene.wavelength_nm.shape[0]))
     extinction = optics(constituents, scene.wavelength_nm).extinction
     once = single_scattering(constituents, scene, extinction, solver.nodes, solver.geometry)
