@@ -25,5 +25,6 @@ from .sky import Perez as Perez, Preetham as Preetham
 from .transport import (
     Fluxes as Fluxes,
     OrdersOfScattering as OrdersOfScattering,
+    Path as Path,
     SingleScattering as SingleScattering,
 )

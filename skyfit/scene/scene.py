@@ -11,11 +11,16 @@ from ..light import earth_sun_factor, extraterrestrial_irradiance
 from .directions import as_float, Directions
 
 
-class Scene(eqx.Module):
-    """The geometry and the spectrum of one sky, seen by an observer on the ground.
+def _height(value):
+    return None if value is None else as_float(value)
 
-    `sun_zenith`, `sun_azimuth` in radians, azimuth clockwise from north; `wavelength_nm` in nm;
-    `solar_irradiance` on a plane normal to the sun at the top of the atmosphere, W m^-2 nm^-1.
+
+class Scene(eqx.Module):
+    """The geometry and the spectrum of one sky, seen by one observer.
+
+    `sun_zenith`, `sun_azimuth` in radians, azimuth clockwise from north, as they are at the observer;
+    `wavelength_nm` in nm; `solar_irradiance` on a plane normal to the sun at the top of the atmosphere,
+    W m^-2 nm^-1; `height` of the observer above the ground in m, None on the ground, which costs nothing.
     """
 
     sun_zenith: Float[Array, ""] = eqx.field(converter=as_float)
@@ -23,6 +28,7 @@ class Scene(eqx.Module):
     view: Directions
     wavelength_nm: Float[Array, " wavelength"] = eqx.field(converter=as_float)
     solar_irradiance: Float[Array, " wavelength"] = eqx.field(converter=as_float)
+    height: Float[Array, ""] | None = eqx.field(converter=_height, default=None)
 
     def __check_init__(self):
         if self.wavelength_nm.ndim != 1 or self.solar_irradiance.shape != self.wavelength_nm.shape:
@@ -41,12 +47,14 @@ class Scene(eqx.Module):
         day_of_year: int | None = None,
         fwhm_nm: float | None = None,
         irradiance: Literal["astm_g173", "preetham", "unit"] | np.ndarray = "astm_g173",
+        height=None,
     ) -> "Scene":
         """A scene with the sun given in degrees and the solar spectrum looked up.
 
         **Arguments:** sun angles in degrees; `view`; `wavelength_nm` `[wavelength]`; `day_of_year` scales
         the irradiance by the Earth-Sun distance (left out: 1 au); `fwhm_nm`, the instrument's Gaussian line
-        shape; `irradiance`, a named spectrum, "unit" (1 at every wavelength) or values in W m^-2 nm^-1.
+        shape; `irradiance`, a named spectrum, "unit" (1 at every wavelength) or values in W m^-2 nm^-1;
+        `height` of the observer above the ground, m (left out: on the ground).
         **Returns:** a `Scene`. **Valid:** 300-1100 nm for "astm_g173", 380-750 nm for "preetham".
         """
         if isinstance(irradiance, str):
@@ -59,4 +67,4 @@ class Scene(eqx.Module):
         if day_of_year is not None:
             values = values * earth_sun_factor(day_of_year)
         sun = jnp.deg2rad(as_float(sun_zenith)), jnp.deg2rad(as_float(sun_azimuth))
-        return cls(*sun, view, wavelength_nm, values)
+        return cls(*sun, view, wavelength_nm, values, height)

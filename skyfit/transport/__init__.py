@@ -1,3 +1,3 @@
 from .orders import OrdersOfScattering as OrdersOfScattering
 from .single import SingleScattering as SingleScattering
-from .solver import AbstractSolver as AbstractSolver, Fluxes as Fluxes, Geometry as Geometry
+from .solver import AbstractSolver as AbstractSolver, Fluxes as Fluxes, Geometry as Geometry, Path as Path

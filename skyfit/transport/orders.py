@@ -26,7 +26,7 @@ from .single import (
     sun_depth,
     transmitted_sun,
 )
-from .solver import AbstractSolver, check_geometry, Fluxes, Geometry, optics
+from .solver import AbstractSolver, check_geometry, check_on_ground, Fluxes, Geometry, optics
 
 
 # m, where the layers end
@@ -98,6 +98,7 @@ class OrdersOfScattering(AbstractSolver):
     @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance by all orders of scattering, W m^-2 sr^-1 nm^-1."""
+        check_on_ground(scene, "OrdersOfScattering")
         return _radiance(self, atmosphere, scene)
 
     @eqx.filter_jit
@@ -107,6 +108,7 @@ class OrdersOfScattering(AbstractSolver):
         The delta-M beam contains the forward peak; it is counted as direct light only as far as the true
         transmittance goes, the rest as diffuse.
         """
+        check_on_ground(scene, "OrdersOfScattering")
         constituents = atmosphere.constituents
         extinction = optics(constituents, scene.wavelength_nm).extinction
         sun = jnp.maximum(jnp.cos(scene.sun_zenith), 0.0)

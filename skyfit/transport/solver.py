@@ -22,8 +22,29 @@ class Fluxes(NamedTuple):
     up: Float[Array, " wavelength"]
 
 
+class Path(NamedTuple):
+    """What the air between the eye and objects does to their light, `[direction, wavelength]` each.
+
+    `transmittance`, dimensionless, in [0, 1]; `inscatter`, W m^-2 sr^-1 nm^-1.
+    """
+
+    transmittance: Float[Array, "direction wavelength"]
+    inscatter: Float[Array, "direction wavelength"]
+
+    def over(self, background: Float[Array, "direction wavelength"]) -> Float[Array, "direction wavelength"]:
+        r"""Objects seen through the air, $F_{ex} L_0 + L_{in}$ (Hoffman & Preetham 2002, eq. 1).
+
+        **Arguments:** `background` $L_0$, the objects' own radiance. **Returns:** the unit of `background`.
+        """
+        return self.transmittance * background + self.inscatter
+
+
 class AbstractSolver(eqx.Module):
-    """A way to solve the transfer of sunlight to an observer on the ground; holds only its resolution."""
+    """A way to solve the transfer of sunlight to an observer; holds only its resolution and its geometry.
+
+    A tier that can also answers `path(atmosphere, scene, distance)`, a `Path` to objects at `distance`
+    `[direction]`, m, along the scene's views.
+    """
 
     geometry: eqx.AbstractVar[Geometry]
 
@@ -53,6 +74,12 @@ def optics(constituents: tuple[AbstractConstituent, ...], wavelength_nm: Float[A
         [jnp.zeros_like(wavelength_nm) if c.phase is None else c.albedo(wavelength_nm) for c in constituents]
     )
     return Optics(extinction, extinction * albedo)
+
+
+def check_on_ground(scene: Scene, solver: str) -> None:
+    """A `ValueError` where the scene has an observer above the ground, for a solver that knows none."""
+    if scene.height is not None:
+        raise ValueError(f"`height` of the scene must be None for {solver}: it knows the observer on the ground only")
 
 
 def check_geometry(geometry: str) -> None:
