@@ -6,6 +6,7 @@ The angle enters as its haversine $\sin^2(\gamma/2)$, which keeps its digits tow
 """
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,6 +19,9 @@ from ..scene import as_float
 
 class AbstractPhase(eqx.Module):
     """A phase function; the last axis of length 1 where it does not depend on wavelength."""
+
+    # of the last moment that is not zero, None where they go on
+    last_degree: eqx.AbstractClassVar[int | None]
 
     @abstractmethod
     def value(
@@ -39,6 +43,7 @@ class RayleighPhase(AbstractPhase):
 
     # King factor 1.048 of air at 550 nm (Bodhaine et al. 1999, table 3), as 6 (F - 1) / (7 F + 3)
     depolarization: Float[Array, ""] = eqx.field(converter=as_float, default=0.0279)
+    last_degree: ClassVar[int | None] = 2
 
     def value(self, haversine, wavelength_nm):
         spread = self.depolarization / (2.0 - self.depolarization)
@@ -69,6 +74,7 @@ class HenyeyGreenstein(AbstractPhase):
     """
 
     asymmetry: Float[Array, ""] = eqx.field(converter=as_float)
+    last_degree: ClassVar[int | None] = None
 
     def value(self, haversine, wavelength_nm):
         return _henyey_greenstein(haversine, self.asymmetry)[:, None]
@@ -87,6 +93,7 @@ class TwoTermHenyeyGreenstein(AbstractPhase):
     asymmetry: Float[Array, ""] = eqx.field(converter=as_float)
     asymmetry_second: Float[Array, ""] = eqx.field(converter=as_float)
     forward_fraction: Float[Array, ""] = eqx.field(converter=as_float)
+    last_degree: ClassVar[int | None] = None
 
     def value(self, haversine, wavelength_nm):
         first = _henyey_greenstein(haversine, self.asymmetry)
@@ -106,6 +113,7 @@ class CornetteShanks(AbstractPhase):
     """
 
     asymmetry: Float[Array, ""] = eqx.field(converter=as_float)
+    last_degree: ClassVar[int | None] = None
 
     def value(self, haversine, wavelength_nm):
         cosine = 1.0 - 2.0 * haversine
@@ -135,6 +143,7 @@ class Tabulated(AbstractPhase):
     angle: Float[Array, " angle"] = eqx.field(converter=as_float)
     table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float)
     log_value: Float[Array, "angle band"] = eqx.field(converter=as_float)
+    last_degree: ClassVar[int | None] = None
 
     @classmethod
     def bullrich(cls) -> "Tabulated":

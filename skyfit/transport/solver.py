@@ -15,11 +15,15 @@ Geometry = Literal["flat", "spherical"]
 
 
 class Fluxes(NamedTuple):
-    """Irradiance on the horizontal ground, W m^-2 nm^-1, `[wavelength]` each."""
+    """Irradiance on the horizontal ground, W m^-2 nm^-1, `[wavelength]` each.
+
+    `up_at_top`, what leaves the top of the atmosphere, None where the tier does not know it.
+    """
 
     direct: Float[Array, " wavelength"]
     diffuse_down: Float[Array, " wavelength"]
     up: Float[Array, " wavelength"]
+    up_at_top: Float[Array, " wavelength"] | None = None
 
 
 class Path(NamedTuple):

@@ -1,0 +1,344 @@
+"""Diffuse light on discrete streams: layers, sweeps through them, and the sum over all orders of scattering."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..atmosphere import AbstractConstituent, Atmosphere
+from ..numerics import associated_legendre, exp_mean, gauss_legendre, phi1, phi_functions
+from ..scene import Scene
+from .optical_path import above_horizon, layer_airmass, slant_column, stream_paths, sunlit
+from .single import scatterer_indices
+from .solver import Geometry, optics
+
+
+# m, where the layers end
+TOP_OF_ATMOSPHERE = 100e3
+_HEIGHT_TABLE = 512
+# optical depth between layers below which diffusion takes them for one: it guides, it does not decide
+_THIN = 1e-4
+
+
+class Resolution(NamedTuple):
+    """How finely streams solve: all static. `streams` a hemisphere, Fourier `modes`, layers, `orders` followed.
+
+    `truncate`: delta-M. `moments`, how many of the phase functions are carried.
+    """
+
+    streams: int
+    modes: int
+    levels: int
+    orders: int
+    truncate: bool
+    geometry: Geometry
+
+    def for_phases(self, constituents: tuple[AbstractConstituent, ...]) -> tuple[int, int]:
+        """Moments and modes that these phase functions need: four and three for air alone."""
+        degrees = [c.phase.last_degree for c in constituents if c.phase is not None]
+        if any(d is None for d in degrees):
+            return 2 * self.streams, self.modes
+        last = max(degrees)
+        return min(2 * self.streams, 2 * (last // 2 + 1)), min(self.modes, last + 1)
+
+
+class Scaled(NamedTuple):
+    """Optics as the streams see them; moments of scatterers with the factor 2 l + 1."""
+
+    extinction: Float[Array, "constituent wavelength"]
+    scattering: Float[Array, "scatterer wavelength"]
+    moments: Float[Array, "moment scatterer wavelength"]
+
+
+class Layers(NamedTuple):
+    """The layered problem of one sky, top to ground, per unit solar irradiance."""
+
+    height: Float[Array, " level"]
+    depth: Float[Array, "layer wavelength"]
+    beam: Float[Array, "level wavelength"]
+    beam_depth: Float[Array, "layer wavelength"]
+    moments: Float[Array, "moment layer wavelength"]
+    sun_cosine: Float[Array, ""]
+    sun_sine: Float[Array, ""]
+    ground_albedo: Float[Array, " wavelength"]
+
+
+class Field(NamedTuple):
+    """The diffuse light summed over all orders: moments of its mean in each layer, fluxes at the two ends."""
+
+    moments: Float[Array, "parity half mode layer wavelength"]
+    ground_flux: Float[Array, " wavelength"]
+    top_flux: Float[Array, " wavelength"]
+
+
+def degree_index(count: int, modes: int) -> np.ndarray:
+    """Degrees l `[parity, half, mode]`: those of l + m even first, whose harmonics are even in the cosine."""
+    half, mode = np.arange(count // 2)[None, :, None], np.arange(modes)[None, None, :]
+    return 2 * half + (mode + np.arange(2)[:, None, None]) % 2
+
+
+def harmonics(cosine, sine, count: int, modes: int) -> Float[Array, "parity half mode *shape"]:
+    """Associated Legendre functions in the layout of `degree_index`."""
+    every = associated_legendre(cosine, sine, modes, count)
+    return every[degree_index(count, modes), np.arange(modes)[None, None]]
+
+
+def scaled_optics(
+    constituents: tuple[AbstractConstituent, ...],
+    wavelength_nm: Float[Array, " wavelength"],
+    resolution: Resolution,
+) -> Scaled:
+    """Optical depths and the first moments of what scatters.
+
+    With `resolution.truncate`, delta-M: the forward peak beyond the last moment counts as unscattered (Wiscombe 1977).
+    """
+    depth, (count, _) = optics(constituents, wavelength_nm), resolution.for_phases(constituents)
+    extinction, scattering, moments = [], [], []
+    for i, c in enumerate(constituents):
+        if c.phase is None:
+            extinction.append(depth.extinction[i])
+            continue
+        every = c.phase.moments(count + 1, wavelength_nm) + jnp.zeros_like(wavelength_nm)[None]
+        peak = every[count] if resolution.truncate else jnp.zeros_like(wavelength_nm)
+        extinction.append(depth.extinction[i] - peak * depth.scattering[i])
+        scattering.append((1.0 - peak) * depth.scattering[i])
+        moments.append((every[:count] - peak[None]) / (1.0 - peak[None]))
+    degree = jnp.asarray(2.0 * np.arange(count) + 1.0, wavelength_nm.dtype)
+    weighted = jnp.stack(moments, axis=1) * degree[:, None, None]
+    return Scaled(jnp.stack(extinction), jnp.stack(scattering), weighted)
+
+
+def level_heights(constituents: tuple[AbstractConstituent, ...], levels: int) -> Float[Array, " level"]:
+    """Heights (m) of the levels, top to ground, equal steps of the scatterers' mean column share."""
+    scatterers = [c.profile for c in constituents if c.phase is not None]
+    table = TOP_OF_ATMOSPHERE * (np.arange(_HEIGHT_TABLE + 1) / _HEIGHT_TABLE) ** 3
+    height = jnp.asarray(table, jnp.result_type(float))
+    share = jnp.mean(jnp.stack([p.above(height) for p in scatterers]), axis=0)
+    share = (share - share[-1]) / (share[0] - share[-1])
+    target = jnp.arange(levels + 1) / levels
+    return jnp.interp(target.astype(height.dtype), share[::-1], height[::-1])
+
+
+def layered(
+    atmosphere: Atmosphere,
+    scene: Scene,
+    wavelength_nm: Float[Array, " wavelength"],
+    resolution: Resolution,
+) -> Layers:
+    """The atmosphere cut into layers for one sun."""
+    constituents, geometry = atmosphere.constituents, resolution.geometry
+    scaled = scaled_optics(constituents, wavelength_nm, resolution)
+    height = level_heights(constituents, resolution.levels)
+    share = jnp.stack([jnp.diff(c.profile.above(height)) for c in constituents])
+    depth = share.T @ scaled.extinction
+    scattered = jnp.stack([share[i] for i in scatterer_indices(constituents)])[:, :, None] * scaled.scattering[:, None]
+    fraction = scattered / jnp.where(depth > 0.0, depth, 1.0)[None]
+    sun_cosine = jnp.cos(scene.sun_zenith)
+    cosine = sun_cosine + jnp.zeros_like(height)
+    slant = jnp.stack([slant_column(c.profile, height, cosine, geometry) for c in constituents])
+    sun_depth = slant.T @ scaled.extinction
+    lit = sunlit(height, cosine, geometry)
+    return Layers(
+        height,
+        depth,
+        jnp.where(lit[:, None], jnp.exp(-sun_depth), 0.0),
+        jnp.maximum(jnp.diff(sun_depth, axis=0), 0.0),
+        jnp.einsum("skw,lsw->lkw", fraction, scaled.moments),
+        sun_cosine,
+        jnp.sin(scene.sun_zenith),
+        atmosphere.ground.reflectance(wavelength_nm),
+    )
+
+
+def sloped(source: Float[Array, "layer ..."], depth: Float[Array, "layer wavelength"]) -> Float[Array, "layer ..."]:
+    """Difference of a source between the lower and the upper end of each layer, by its neighbours' means.
+
+    Divided by 1 + depth^2: over a thick layer a straight line through means would turn negative.
+    """
+    near = 0.5 * (depth[1:] + depth[:-1])
+    near = jnp.where(near > 0.0, near, 1.0)
+    half = jnp.where(np.arange(depth.shape[0] - 1) > 0, 0.5, 1.0)[:, None]
+    edge = jnp.zeros_like(depth[:1])
+    damped = depth / (1.0 + depth**2)
+    above = damped * jnp.concatenate([edge, half[::-1] / near])
+    below = damped * jnp.concatenate([half / near, edge])
+    axes = tuple(range(1, source.ndim - 1))
+    step = jnp.diff(source, axis=0)
+    none = jnp.zeros_like(source[:1])
+    return jnp.expand_dims(above, axes) * jnp.concatenate([none, step]) + jnp.expand_dims(below, axes) * jnp.concatenate(
+        [step, none]
+    )
+
+
+def solve(layers: Layers, streams: int, modes: int, orders: int, geometry: Geometry) -> Field:
+    """The diffuse field: `orders` sweeps, each followed by the diffusion of what it left over.
+
+    One sweep is the first order alone, without diffusion.
+    **Source:** successive orders as in Lenoble et al. 2007, JQSRT 107, 479; sources by conservative means over
+    the layers; diffusion synthetic acceleration: Alcouffe 1977, Nucl. Sci. Eng. 64, 344.
+    """
+    cosine, weight = gauss_legendre(streams)
+    dtype, count = layers.depth.dtype, layers.moments.shape[0]
+    mu = jnp.asarray(cosine, dtype)
+    from_moment = harmonics(mu, jnp.asarray(np.sqrt(1.0 - cosine**2), dtype), count, modes)
+    to_moment = jnp.asarray(0.5 * weight, dtype) * from_moment
+    phase = layers.moments[degree_index(count, modes)]
+    flux_weight = jnp.asarray(2.0 * np.pi * weight * cosine, dtype)
+    mode_weight = jnp.asarray(np.where(np.arange(modes) == 0, 1.0, 2.0) / (4.0 * np.pi), dtype)
+
+    # axes: direction of travel (down, up), layer from the top, mode, stream, wavelength
+    paths = stream_paths(layers.height, mu, geometry)
+    slant = jnp.stack([p.airmass for p in paths])[..., None] * layers.depth[None, :, None]
+    first, second = phi_functions(slant)
+    lean = 0.5 * first - second
+    turns = None if paths[0].turn is None else _as_met(jnp.stack([p.turn for p in paths]))
+    fade = _as_met(jnp.exp(-slant))
+
+    def run(start, emitted):
+        """Radiance that leaves the last layer, and that enters each layer, in the order met."""
+
+        def step(radiance, layer):
+            decay, source, turn = layer
+            if turn is not None:
+                radiance = jnp.einsum("dij,dmjw->dmiw", turn, radiance)
+            return radiance * decay[:, None] + source, radiance
+
+        return jax.lax.scan(step, start, (fade, emitted, turns))
+
+    nothing = jnp.zeros((2, 1, *slant.shape[2:]), dtype)
+    # the isotropic light of a ground that reflects a unit of flux
+    shine_top, shine = run(nothing.at[1].set(1.0 / np.pi), jnp.zeros((slant.shape[1], *nothing.shape), dtype))
+    shine_top, shine = shine_top[1, 0], _from_top(shine)[1, :, 0]
+
+    def sweep(leaving, within, beam_flux):
+        """Moments of the mean radiance, flux onto the ground and out of the top, for one source."""
+        source = _as_met(leaving)
+        last, entering = run(jnp.zeros_like(source[0]), source)
+        flux = jnp.einsum("n,nw->w", flux_weight, last[0, 0])
+        reflected = layers.ground_albedo * (flux + beam_flux)
+        top = jnp.einsum("n,nw->w", flux_weight, last[1, 0] + reflected * shine_top)
+        entering = _from_top(entering).at[1, :, 0].add(reflected * shine)
+        mean = entering * first[:, :, None] + within
+        both = jnp.stack([mean[0] + mean[1], mean[0] - mean[1]])
+        return jnp.einsum("phmn,pkmnw->phmkw", to_moment, both), flux, top
+
+    def on_streams(moments):
+        even, odd = jnp.einsum("phmn,phmkw->pkmnw", from_moment, moments)
+        return jnp.stack([even + odd, even - odd])
+
+    # the beam, exponential within each layer
+    sun = harmonics(layers.sun_cosine, layers.sun_sine, count, modes) * mode_weight
+    once = on_streams(sun[..., None, None] * phase) * layers.beam[:-1, None, None]
+    beam = layers.beam_depth[:, None] + 0.0 * slant[0]
+    mean = jnp.stack([exp_mean(beam, slant[0]), phi1(beam + slant[1])])
+    total = sweep(
+        (slant * mean)[:, :, None] * once,
+        (phi1(beam)[None] - mean)[:, :, None] * once,
+        jnp.maximum(layers.sun_cosine, 0.0) * layers.beam[-1],
+    )
+    if orders == 1:
+        return Field(*total)
+    diffuse = _diffusion(layers)
+
+    def order(carry, _):
+        left, total = carry
+        even, odd, *_ = diffuse(left)
+        source = on_streams(phase * left.at[0, 0, 0].add(even).at[1, 0, 0].add(odd))
+        step = jnp.stack([sloped(source[0], layers.depth), -sloped(source[1], layers.depth)])
+        scattered = sweep(
+            slant[:, :, None] * (first[:, :, None] * source - lean[:, :, None] * step),
+            (slant * second)[:, :, None] * source + lean[:, :, None] * step,
+            jnp.zeros_like(layers.beam[-1]),
+        )
+        left = scattered[0].at[0, 0, 0].add(-even).at[1, 0, 0].add(-odd)
+        return (left, jax.tree.map(jnp.add, total, scattered)), None
+
+    (left, (moments, flux, top)), _ = jax.lax.scan(order, (total[0], total), None, length=orders - 1)
+    even, odd, more_flux, more_top = diffuse(left)
+    return Field(moments.at[0, 0, 0].add(even).at[1, 0, 0].add(odd), flux + more_flux, top + more_top)
+
+
+def _as_met(array):
+    """`[direction, layer from the top, ...]` to `[layer in the order met, direction, ...]`."""
+    return jnp.stack([array[0], array[1, ::-1]], axis=1)
+
+
+def _from_top(array):
+    """The inverse of `_as_met`."""
+    return jnp.stack([array[:, 0], array[::-1, 1]])
+
+
+def _diffusion(layers: Layers):
+    r"""All that follows the scattering of some light, as diffusion has it.
+
+    With $M_0$, $M_1$ the mean radiance and flux / 4 pi: $dM_1/d\tau = -(1-\omega) M_0 + \omega m_0$ and
+    $\tfrac13 dM_0/d\tau = -(1-\omega g) M_1 + \omega g\, m_1$, means over layers, no light from above, a
+    Lambertian ground. **Returns:** a function of the moments of what is scattered that gives additions to the
+    moments (0, 0) and (1, 0) and to the flux onto the ground and out of the top.
+    """
+    depth = layers.depth
+    albedo, forward = layers.moments[0], layers.moments[1] / 3.0
+    half = 0.5 * depth * (1.0 - forward)
+    between = jnp.maximum(half[1:] + half[:-1], _THIN)
+    ends = 2.0 + 3.0 * half[:1]
+    ground = 0.5 * (1.0 - layers.ground_albedo[None]) / (1.0 + layers.ground_albedo[None])
+    lowest = ground / (1.0 + 3.0 * half[-1:] * ground)
+
+    def flux(even, extra):
+        """M_1 at the levels."""
+        inner = ((even[:-1] - even[1:]) / 3.0 + extra[:-1] + extra[1:]) / between
+        return jnp.concatenate([(3.0 * extra[:1] - even[:1]) / ends, inner, lowest * (even[-1:] + 3.0 * extra[-1:])])
+
+    inner = 1.0 / (3.0 * between)
+    above, below = jnp.concatenate([1.0 / ends, inner]), jnp.concatenate([inner, lowest])
+    diagonal = depth * (1.0 - albedo) + above + below
+    size = depth.shape[0]
+    upper, lower = np.eye(size, k=1), np.eye(size, k=-1)
+    matrix = (
+        jnp.eye(size, dtype=depth.dtype)[None] * diagonal.T[:, None]
+        - jnp.asarray(upper, depth.dtype)[None] * below.T[:, :, None]
+        - jnp.asarray(lower, depth.dtype)[None] * above.T[:, :, None]
+    )
+    inverse = jnp.linalg.inv(matrix)
+
+    def diffuse(moments):
+        mean, stream = moments[0, 0, 0], moments[1, 0, 0]
+        extra = 0.5 * depth * forward * stream
+        source = depth * albedo * mean - jnp.diff(flux(jnp.zeros_like(mean), extra), axis=0)
+        even = jnp.einsum("wjk,kw->jw", inverse, source)
+        level = flux(even, extra)
+        at_ground = even[-1] + 3.0 * (extra[-1] - half[-1] * level[-1])
+        onto_ground = np.pi * (at_ground + 2.0 * level[-1])
+        return even, 0.5 * (level[1:] + level[:-1]), onto_ground, -4.0 * np.pi * level[0]
+
+    return diffuse
+
+
+def diffuse_field(
+    atmosphere: Atmosphere, scene: Scene, wavelength_nm: Float[Array, " wavelength"], resolution: Resolution
+) -> tuple[Layers, Field]:
+    """The layers and the light in them."""
+    layers = layered(atmosphere, scene, wavelength_nm, resolution)
+    _, modes = resolution.for_phases(atmosphere.constituents)
+    return layers, solve(layers, resolution.streams, modes, resolution.orders, resolution.geometry)
+
+
+def multiple_scattering(
+    atmosphere: Atmosphere, scene: Scene, wavelength_nm: Float[Array, " wavelength"], resolution: Resolution
+) -> Float[Array, "direction wavelength"]:
+    """Radiance of second and higher orders toward an observer on the ground, per unit solar irradiance."""
+    layers, field = diffuse_field(atmosphere, scene, wavelength_nm, resolution)
+    count, modes = resolution.for_phases(atmosphere.constituents)
+    view = scene.view
+    cosine = jnp.maximum(jnp.cos(view.zenith), 0.0)
+    turn = jnp.arange(modes)[:, None] * (view.azimuth - scene.sun_azimuth)[None]
+    basis = harmonics(cosine, jnp.sin(view.zenith), count, modes) * jnp.cos(turn)[None, None]
+    source = jnp.einsum("phmd,phmkw->kdw", basis, layers.moments[degree_index(count, modes)] * field.moments)
+    slant = layer_airmass(layers.height, cosine, resolution.geometry)[:, :, None] * layers.depth[:, None]
+    below = jnp.cumsum(slant[::-1], axis=0)[::-1] - slant
+    first, second = phi_functions(slant)
+    emitted = slant * (first * source - (0.5 * first - second) * sloped(source, layers.depth))
+    radiance = jnp.sum(jnp.exp(-below) * emitted, axis=0)
+    return jnp.where(above_horizon(view.zenith)[:, None], radiance, 0.0)
