@@ -23,6 +23,7 @@ from .light import srgb as srgb, xyY as xyY, xyz as xyz
 from .scene import Directions as Directions, hemisphere as hemisphere, Scene as Scene, Sky as Sky
 from .sky import Perez as Perez, Preetham as Preetham
 from .transport import (
+    DoubleScattering as DoubleScattering,
     Fluxes as Fluxes,
     OrdersOfScattering as OrdersOfScattering,
     Path as Path,

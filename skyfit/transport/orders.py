@@ -47,18 +47,7 @@ class OrdersOfScattering(AbstractSolver):
 
     def __check_init__(self):
         check_geometry(self.geometry)
-        for name, least in {
-            "streams": 1,
-            "modes": 1,
-            "levels": 2,
-            "orders": 2,
-            "nodes": 1,
-            "spectral_nodes": 0,
-        }.items():
-            if getattr(self, name) < least:
-                raise ValueError(f"`{name}` must be at least {least}, got {getattr(self, name)}")
-        if self.modes > 2 * self.streams:
-            raise ValueError(f"`modes` must be at most 2 x `streams`, got {self.modes} for {self.streams}")
+        self._resolution().check(self.nodes, self.spectral_nodes)
 
     @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
@@ -79,7 +68,7 @@ class OrdersOfScattering(AbstractSolver):
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance by all orders of scattering, W m^-2 sr^-1 nm^-1."""
         check_on_ground(scene, "OrdersOfScattering")
-        return _radiance(self, atmosphere, scene)
+        return streamed_radiance(atmosphere, scene, self._resolution(), self.nodes, self.spectral_nodes)
 
     @eqx.filter_jit
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
@@ -104,20 +93,25 @@ class OrdersOfScattering(AbstractSolver):
         return Fluxes(direct * irradiance, diffuse * irradiance, up * irradiance, top)
 
     def _resolution(self) -> Resolution:
-        return Resolution(self.streams, self.modes, self.levels, self.orders, True, self.geometry)
+        return Resolution(self.streams, self.modes, self.levels, self.orders, self.geometry)
 
 
-def _radiance(solver: OrdersOfScattering, atmosphere: Atmosphere, scene: Scene):
+def streamed_radiance(
+    atmosphere: Atmosphere, scene: Scene, resolution: Resolution, nodes: int, spectral_nodes: int
+) -> Float[Array, "direction wavelength"]:
+    """Exact single scattering and what streams make of the higher orders, W m^-2 sr^-1 nm^-1.
+
+    **Arguments:** `nodes` of the single-scattering integral; `spectral_nodes`, wavelengths at which the streams
+    solve, 0 for all of the scene's.
+    """
     constituents = atmosphere.constituents
     wavelength = scene.wavelength_nm
     if not scatterer_indices(constituents):
         return jnp.zeros((scene.view.zenith.shape[0], wavelength.shape[0]))
-    resolution = solver._resolution()
     extinction = scaled_optics(constituents, wavelength, resolution).extinction
-    single = single_scattering(constituents, scene, extinction, solver.nodes, solver.geometry)
-    few = solver.spectral_nodes
-    if 0 < few < wavelength.shape[0] and atmosphere.smooth_in_wavelength:
-        multiple = _interpolated_multiple(atmosphere, scene, resolution, few)
+    single = single_scattering(constituents, scene, extinction, nodes, resolution.geometry)
+    if 0 < spectral_nodes < wavelength.shape[0] and atmosphere.smooth_in_wavelength:
+        multiple = _interpolated_multiple(atmosphere, scene, resolution, spectral_nodes)
     else:
         multiple = multiple_scattering(atmosphere, scene, wavelength, resolution)
     return (single + multiple) * scene.solar_irradiance[None]

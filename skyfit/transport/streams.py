@@ -23,17 +23,29 @@ _THIN = 1e-4
 
 
 class Resolution(NamedTuple):
-    """How finely streams solve: all static. `streams` a hemisphere, Fourier `modes`, layers, `orders` followed.
+    """How finely streams solve, all static: `streams` a hemisphere, Fourier `modes`, layers, sweeps.
 
-    `truncate`: delta-M. `moments`, how many of the phase functions are carried.
+    `complete`: delta-M, and all orders that the sweeps do not reach are closed by diffusion; without it the
+    phase functions are cut after their moments and the light is that of `orders` orders, no more.
     """
 
     streams: int
     modes: int
     levels: int
     orders: int
-    truncate: bool
     geometry: Geometry
+    complete: bool = True
+
+    def check(self, nodes: int, spectral_nodes: int) -> None:
+        """A `ValueError` for a count that is too small or modes that the streams cannot carry."""
+        least = {"streams": 1, "modes": 1, "levels": 2, "orders": 1}
+        counts = {name: (getattr(self, name), bound) for name, bound in least.items()}
+        counts |= {"nodes": (nodes, 1), "spectral_nodes": (spectral_nodes, 0)}
+        for name, (count, bound) in counts.items():
+            if count < bound:
+                raise ValueError(f"`{name}` must be at least {bound}, got {count}")
+        if self.modes > 2 * self.streams:
+            raise ValueError(f"`modes` must be at most 2 x `streams`, got {self.modes} for {self.streams}")
 
     def for_phases(self, constituents: tuple[AbstractConstituent, ...]) -> tuple[int, int]:
         """Moments and modes that these phase functions need: four and three for air alone."""
@@ -92,7 +104,7 @@ def scaled_optics(
 ) -> Scaled:
     """Optical depths and the first moments of what scatters.
 
-    With `resolution.truncate`, delta-M: the forward peak beyond the last moment counts as unscattered (Wiscombe 1977).
+    With `resolution.complete`, delta-M: the forward peak beyond the last moment counts as unscattered (Wiscombe 1977).
     """
     depth, (count, _) = optics(constituents, wavelength_nm), resolution.for_phases(constituents)
     extinction, scattering, moments = [], [], []
@@ -101,7 +113,7 @@ def scaled_optics(
             extinction.append(depth.extinction[i])
             continue
         every = c.phase.moments(count + 1, wavelength_nm) + jnp.zeros_like(wavelength_nm)[None]
-        peak = every[count] if resolution.truncate else jnp.zeros_like(wavelength_nm)
+        peak = every[count] if resolution.complete else jnp.zeros_like(wavelength_nm)
         extinction.append(depth.extinction[i] - peak * depth.scattering[i])
         scattering.append((1.0 - peak) * depth.scattering[i])
         moments.append((every[:count] - peak[None]) / (1.0 - peak[None]))
@@ -131,13 +143,16 @@ def layered(
     constituents, geometry = atmosphere.constituents, resolution.geometry
     scaled = scaled_optics(constituents, wavelength_nm, resolution)
     height = level_heights(constituents, resolution.levels)
-    share = jnp.stack([jnp.diff(c.profile.above(height)) for c in constituents])
+    # what little lies above the top level belongs to the first layer
+    above = jnp.stack([c.profile.above(height) for c in constituents]).at[:, 0].set(0.0)
+    share = jnp.diff(above, axis=1)
     depth = share.T @ scaled.extinction
     scattered = jnp.stack([share[i] for i in scatterer_indices(constituents)])[:, :, None] * scaled.scattering[:, None]
     fraction = scattered / jnp.where(depth > 0.0, depth, 1.0)[None]
     sun_cosine = jnp.cos(scene.sun_zenith)
     cosine = sun_cosine + jnp.zeros_like(height)
     slant = jnp.stack([slant_column(c.profile, height, cosine, geometry) for c in constituents])
+    slant = slant.at[:, 0].set(jnp.where(sun_cosine >= 0.0, 0.0, slant[:, 0]))
     sun_depth = slant.T @ scaled.extinction
     lit = sunlit(height, cosine, geometry)
     return Layers(
@@ -155,13 +170,13 @@ def layered(
 def sloped(source: Float[Array, "layer ..."], depth: Float[Array, "layer wavelength"]) -> Float[Array, "layer ..."]:
     """Difference of a source between the lower and the upper end of each layer, by its neighbours' means.
 
-    Divided by 1 + depth^2: over a thick layer a straight line through means would turn negative.
+    Flattened in thick layers: there a straight line through means would turn negative.
     """
     near = 0.5 * (depth[1:] + depth[:-1])
     near = jnp.where(near > 0.0, near, 1.0)
     half = jnp.where(np.arange(depth.shape[0] - 1) > 0, 0.5, 1.0)[:, None]
     edge = jnp.zeros_like(depth[:1])
-    damped = depth / (1.0 + depth**2)
+    damped = depth / (1.0 + 0.1 * depth**2)
     above = damped * jnp.concatenate([edge, half[::-1] / near])
     below = damped * jnp.concatenate([half / near, edge])
     axes = tuple(range(1, source.ndim - 1))
@@ -172,24 +187,23 @@ def sloped(source: Float[Array, "layer ..."], depth: Float[Array, "layer wavelen
     )
 
 
-def solve(layers: Layers, streams: int, modes: int, orders: int, geometry: Geometry) -> Field:
-    """The diffuse field: `orders` sweeps, each followed by the diffusion of what it left over.
+def solve(layers: Layers, resolution: Resolution, modes: int) -> Field:
+    """The diffuse field: sweeps, each followed by the diffusion of what it left over.
 
-    One sweep is the first order alone, without diffusion.
     **Source:** successive orders as in Lenoble et al. 2007, JQSRT 107, 479; sources by conservative means over
     the layers; diffusion synthetic acceleration: Alcouffe 1977, Nucl. Sci. Eng. 64, 344.
     """
-    cosine, weight = gauss_legendre(streams)
+    cosine, weight = gauss_legendre(resolution.streams)
     dtype, count = layers.depth.dtype, layers.moments.shape[0]
     mu = jnp.asarray(cosine, dtype)
     from_moment = harmonics(mu, jnp.asarray(np.sqrt(1.0 - cosine**2), dtype), count, modes)
-    to_moment = jnp.asarray(0.5 * weight, dtype) * from_moment
+    to_moment = jnp.asarray(0.5 * weight, dtype)[None, None, None] * from_moment
     phase = layers.moments[degree_index(count, modes)]
     flux_weight = jnp.asarray(2.0 * np.pi * weight * cosine, dtype)
     mode_weight = jnp.asarray(np.where(np.arange(modes) == 0, 1.0, 2.0) / (4.0 * np.pi), dtype)
 
     # axes: direction of travel (down, up), layer from the top, mode, stream, wavelength
-    paths = stream_paths(layers.height, mu, geometry)
+    paths = stream_paths(layers.height, mu, resolution.geometry)
     slant = jnp.stack([p.airmass for p in paths])[..., None] * layers.depth[None, :, None]
     first, second = phi_functions(slant)
     lean = 0.5 * first - second
@@ -218,8 +232,8 @@ def solve(layers: Layers, streams: int, modes: int, orders: int, geometry: Geome
         last, entering = run(jnp.zeros_like(source[0]), source)
         flux = jnp.einsum("n,nw->w", flux_weight, last[0, 0])
         reflected = layers.ground_albedo * (flux + beam_flux)
-        top = jnp.einsum("n,nw->w", flux_weight, last[1, 0] + reflected * shine_top)
-        entering = _from_top(entering).at[1, :, 0].add(reflected * shine)
+        top = jnp.einsum("n,nw->w", flux_weight, last[1, 0] + reflected[None] * shine_top)
+        entering = _from_top(entering).at[1, :, 0].add(reflected[None, None] * shine)
         mean = entering * first[:, :, None] + within
         both = jnp.stack([mean[0] + mean[1], mean[0] - mean[1]])
         return jnp.einsum("phmn,pkmnw->phmkw", to_moment, both), flux, top
@@ -229,35 +243,43 @@ def solve(layers: Layers, streams: int, modes: int, orders: int, geometry: Geome
         return jnp.stack([even + odd, even - odd])
 
     # the beam, exponential within each layer
-    sun = harmonics(layers.sun_cosine, layers.sun_sine, count, modes) * mode_weight
-    once = on_streams(sun[..., None, None] * phase) * layers.beam[:-1, None, None]
-    beam = layers.beam_depth[:, None] + 0.0 * slant[0]
+    sun = harmonics(layers.sun_cosine, layers.sun_sine, count, modes) * mode_weight[None, None]
+    once = on_streams(sun[..., None, None] * phase) * layers.beam[None, :-1, None, None]
+    beam = layers.beam_depth[:, None] + jnp.zeros_like(slant[0])
     mean = jnp.stack([exp_mean(beam, slant[0]), phi1(beam + slant[1])])
     total = sweep(
         (slant * mean)[:, :, None] * once,
         (phi1(beam)[None] - mean)[:, :, None] * once,
         jnp.maximum(layers.sun_cosine, 0.0) * layers.beam[-1],
     )
-    if orders == 1:
-        return Field(*total)
-    diffuse = _diffusion(layers)
+    diffuse = _diffusion(layers) if resolution.complete else None
 
     def order(carry, _):
         left, total = carry
-        even, odd, *_ = diffuse(left)
-        source = on_streams(phase * left.at[0, 0, 0].add(even).at[1, 0, 0].add(odd))
+        if diffuse is None:
+            source = on_streams(phase * left)
+        else:
+            even, odd, *_ = diffuse(left)
+            source = on_streams(phase * _added(left, even, odd))
         step = jnp.stack([sloped(source[0], layers.depth), -sloped(source[1], layers.depth)])
         scattered = sweep(
             slant[:, :, None] * (first[:, :, None] * source - lean[:, :, None] * step),
             (slant * second)[:, :, None] * source + lean[:, :, None] * step,
             jnp.zeros_like(layers.beam[-1]),
         )
-        left = scattered[0].at[0, 0, 0].add(-even).at[1, 0, 0].add(-odd)
+        left = scattered[0] if diffuse is None else _added(scattered[0], -even, -odd)
         return (left, jax.tree.map(jnp.add, total, scattered)), None
 
-    (left, (moments, flux, top)), _ = jax.lax.scan(order, (total[0], total), None, length=orders - 1)
+    (left, total), _ = jax.lax.scan(order, (total[0], total), None, length=resolution.orders - 1)
+    if diffuse is None:
+        return Field(*total)
     even, odd, more_flux, more_top = diffuse(left)
-    return Field(moments.at[0, 0, 0].add(even).at[1, 0, 0].add(odd), flux + more_flux, top + more_top)
+    return Field(_added(total[0], even, odd), total[1] + more_flux, total[2] + more_top)
+
+
+def _added(moments, even, odd):
+    """The moments with the mean radiance and the vertical flux of some diffuse light added."""
+    return moments.at[0, 0, 0].add(even).at[1, 0, 0].add(odd)
 
 
 def _as_met(array):
@@ -278,21 +300,26 @@ def _diffusion(layers: Layers):
     Lambertian ground. **Returns:** a function of the moments of what is scattered that gives additions to the
     moments (0, 0) and (1, 0) and to the flux onto the ground and out of the top.
     """
-    depth = layers.depth
+    depth, reflectance = layers.depth, layers.ground_albedo[None]
     albedo, forward = layers.moments[0], layers.moments[1] / 3.0
     half = 0.5 * depth * (1.0 - forward)
     between = jnp.maximum(half[1:] + half[:-1], _THIN)
-    ends = 2.0 + 3.0 * half[:1]
-    ground = 0.5 * (1.0 - layers.ground_albedo[None]) / (1.0 + layers.ground_albedo[None])
-    lowest = ground / (1.0 + 3.0 * half[-1:] * ground)
+
+    def mixing(width):
+        # between thick layers the sweeps carry more than diffusion does; the sums are unstable where it carries less
+        return 0.25 * width**2 / (1.0 + width**2)
+
+    inner = 1.0 / (3.0 * between) + mixing(between)
+    top = 1.0 / (2.0 + 3.0 * half[:1]) + mixing(2.0 * half[:1])
+    onto_ground = 0.5 / (1.0 + reflectance + 1.5 * half[-1:] * (1.0 - reflectance)) + mixing(2.0 * half[-1:])
+    bottom = (1.0 - reflectance) * onto_ground
 
     def flux(even, extra):
         """M_1 at the levels."""
-        inner = ((even[:-1] - even[1:]) / 3.0 + extra[:-1] + extra[1:]) / between
-        return jnp.concatenate([(3.0 * extra[:1] - even[:1]) / ends, inner, lowest * (even[-1:] + 3.0 * extra[-1:])])
+        within = inner * (even[:-1] - even[1:]) + (extra[:-1] + extra[1:]) / between
+        return jnp.concatenate([top * (3.0 * extra[:1] - even[:1]), within, bottom * (even[-1:] + 3.0 * extra[-1:])])
 
-    inner = 1.0 / (3.0 * between)
-    above, below = jnp.concatenate([1.0 / ends, inner]), jnp.concatenate([inner, lowest])
+    above, below = jnp.concatenate([top, inner]), jnp.concatenate([inner, bottom])
     diagonal = depth * (1.0 - albedo) + above + below
     size = depth.shape[0]
     upper, lower = np.eye(size, k=1), np.eye(size, k=-1)
@@ -309,9 +336,8 @@ def _diffusion(layers: Layers):
         source = depth * albedo * mean - jnp.diff(flux(jnp.zeros_like(mean), extra), axis=0)
         even = jnp.einsum("wjk,kw->jw", inverse, source)
         level = flux(even, extra)
-        at_ground = even[-1] + 3.0 * (extra[-1] - half[-1] * level[-1])
-        onto_ground = np.pi * (at_ground + 2.0 * level[-1])
-        return even, 0.5 * (level[1:] + level[:-1]), onto_ground, -4.0 * np.pi * level[0]
+        ground_flux = 4.0 * np.pi * onto_ground[0] * (even[-1] + 3.0 * extra[-1])
+        return even, 0.5 * (level[1:] + level[:-1]), ground_flux, -4.0 * np.pi * level[0]
 
     return diffuse
 
@@ -322,7 +348,7 @@ def diffuse_field(
     """The layers and the light in them."""
     layers = layered(atmosphere, scene, wavelength_nm, resolution)
     _, modes = resolution.for_phases(atmosphere.constituents)
-    return layers, solve(layers, resolution.streams, modes, resolution.orders, resolution.geometry)
+    return layers, solve(layers, resolution, modes)
 
 
 def multiple_scattering(
