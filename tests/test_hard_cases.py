@@ -77,7 +77,7 @@ def hard_program(solver, quantity, reverse):
         scene = skyfit.Scene(sun, 0.3, VIEW, COLOURS, jnp.ones(len(COLOURS)))
         if quantity == "radiance":
             return solver.radiance(atmosphere, scene)
-        return jnp.stack(solver.fluxes(atmosphere, scene))
+        return jnp.stack([v for v in solver.fluxes(atmosphere, scene) if v is not None])
 
     def forward(parameters):
         return field(parameters), jax.jacfwd(field)(parameters)

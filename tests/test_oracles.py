@@ -95,23 +95,34 @@ def total_down(solver, atmosphere, suns, wavelength):
     return jax.vmap(one)(suns)
 
 
-@pytest.mark.parametrize("air, haze, asymmetry", [(0.3, 0.0, 0.0), (0.2, 0.5, 0.7), (0.05, 1.5, 0.8)])
-def test_no_light_is_lost_without_absorption(x64, air, haze, asymmetry):
+@pytest.mark.parametrize("preset", ["draft", "normal"])
+@pytest.mark.parametrize(
+    "air, haze, asymmetry", [(0.3, 0.0, 0.0), (0.2, 0.5, 0.7), (0.05, 1.5, 0.8), (1e-12, 0.0, 0.0), (0.1, 50.0, 0.85)]
+)
+def test_no_light_is_lost_without_absorption(x64, preset, air, haze, asymmetry):
+    """What leaves the top and what the ground absorbs is what came in, whatever the resolution."""
+    solver, suns = getattr(OrdersOfScattering, preset)("flat"), jnp.deg2rad(jnp.array([0.0, 45.0, 80.0, 89.0]))
+    for albedo in (0.0, 0.3, 1.0):
+        flux = total_down(solver, haze_over_air(air, haze, asymmetry, 1.0, albedo), suns, jnp.asarray(ONE))
+        down = flux.direct + flux.diffuse_down
+        np.testing.assert_allclose(flux.up, albedo * down, rtol=1e-12)
+        absorbed = down - flux.up
+        np.testing.assert_allclose((flux.up_at_top + absorbed)[:, 0], jnp.cos(suns), rtol=1e-10)
+
+
+def test_the_ground_brightens_the_sky_as_a_geometric_series(x64):
     r"""Over a Lambertian ground $G(A) = G(0) / (1 - s A)$; without absorption $1 - s = 2\int G_0 d\mu$."""
     x, weight = np.polynomial.legendre.leggauss(12)
     mu, weight = 0.5 * (x + 1.0), 0.5 * weight
-    wavelength, ground = jnp.asarray(ONE), []
+    ground = []
     for albedo in (0.0, 0.5, 1.0):
-        flux = total_down(DEEP, haze_over_air(air, haze, asymmetry, 1.0, albedo), jnp.arccos(mu), wavelength)
-        down = np.asarray(flux.direct + flux.diffuse_down)[:, 0]
-        np.testing.assert_allclose(np.asarray(flux.up)[:, 0], albedo * down, rtol=1e-6, atol=1e-12)
-        ground.append(down)
+        flux = total_down(DEEP, haze_over_air(0.2, 0.5, 0.7, 1.0, albedo), jnp.arccos(mu), jnp.asarray(ONE))
+        ground.append(np.asarray(flux.direct + flux.diffuse_down)[:, 0])
     # 1 / G is a straight line in the albedo, with one slope s for every sun
     spherical_albedo = 1.0 - ground[0] / ground[2]
-    np.testing.assert_allclose(spherical_albedo, spherical_albedo[0], atol=1e-3)
-    np.testing.assert_allclose(ground[1], ground[0] / (1.0 - 0.5 * spherical_albedo), rtol=1e-3)
-    diffuse_transmission = 2.0 * weight @ ground[0]
-    assert diffuse_transmission + spherical_albedo.mean() == pytest.approx(1.0, abs=2e-3)
+    np.testing.assert_allclose(spherical_albedo, spherical_albedo[0], atol=1e-5)
+    np.testing.assert_allclose(ground[1], ground[0] / (1.0 - 0.5 * spherical_albedo), rtol=1e-5)
+    assert 2.0 * weight @ ground[0] + spherical_albedo.mean() == pytest.approx(1.0, abs=2e-4)
 
 
 def test_absorption_takes_light_away(x64):
@@ -154,19 +165,22 @@ def test_fluxes_are_those_of_pythonic_disort(x64, depth, single_albedo, asymmetr
     found = total_down(DEEP, atmosphere, jnp.deg2rad(jnp.array([sun])), jnp.asarray(ONE))
     assert direct == pytest.approx(mu * np.exp(-depth / mu), rel=1e-9)
     assert float(found.direct[0, 0]) == pytest.approx(direct, rel=1e-9)
-    assert float(found.diffuse_down[0, 0]) == pytest.approx(diffuse, rel=4e-3)
+    assert float(found.diffuse_down[0, 0]) == pytest.approx(diffuse, rel=1e-3)
 
 
 @pytest.mark.parametrize(
     "preset, depth, single_albedo, tolerance",
     [
-        ("normal", 3.0, 1.0, 0.02),
-        ("normal", 5.0, 1.0, 0.02),
-        pytest.param("fine", 10.0, 1.0, 0.03, marks=pytest.mark.slow),
+        ("draft", 3.0, 1.0, 0.01),
+        ("normal", 3.0, 1.0, 1e-3),
+        ("normal", 10.0, 1.0, 5e-3),
+        ("normal", 50.0, 1.0, 0.05),
+        ("normal", 50.0, 0.99, 0.2),
+        pytest.param("fine", 50.0, 1.0, 0.01, marks=pytest.mark.slow),
     ],
 )
 def test_thick_haze_has_the_light_of_pythonic_disort(x64, preset, depth, single_albedo, tolerance):
-    """To the optical depths that the solver claims, light arrives after more orders than are followed one by one."""
+    """Light arrives after far more orders of scattering than are followed one by one."""
     pydisort = pytest.importorskip("PythonicDISORT.pydisort", reason="PythonicDISORT is absent").pydisort
     moments, mu = 0.7 ** np.arange(65.0), 0.5
     _, _, down, *_ = pydisort(

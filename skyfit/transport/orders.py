@@ -39,8 +39,8 @@ class OrdersOfScattering(AbstractSolver):
 
     streams: int = eqx.field(static=True, default=8)
     modes: int = eqx.field(static=True, default=10)
-    levels: int = eqx.field(static=True, default=40)
-    orders: int = eqx.field(static=True, default=10)
+    levels: int = eqx.field(static=True, default=24)
+    orders: int = eqx.field(static=True, default=6)
     nodes: int = eqx.field(static=True, default=24)
     spectral_nodes: int = eqx.field(static=True, default=8)
     geometry: Geometry = eqx.field(static=True, default="spherical")
@@ -52,7 +52,7 @@ class OrdersOfScattering(AbstractSolver):
     @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
         """Median error 0.5 %, some per cent at 85 degrees."""
-        return cls(streams=4, modes=6, levels=20, orders=6, nodes=16, spectral_nodes=6, geometry=geometry)
+        return cls(streams=6, modes=8, levels=16, orders=4, nodes=16, spectral_nodes=6, geometry=geometry)
 
     @classmethod
     def normal(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
@@ -62,7 +62,7 @@ class OrdersOfScattering(AbstractSolver):
     @classmethod
     def fine(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
         """The reference of the house."""
-        return cls(streams=16, modes=20, levels=100, orders=24, nodes=64, spectral_nodes=0, geometry=geometry)
+        return cls(streams=16, modes=20, levels=100, orders=12, nodes=64, spectral_nodes=0, geometry=geometry)
 
     @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
