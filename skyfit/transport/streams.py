@@ -167,24 +167,23 @@ def layered(
     )
 
 
-def sloped(source: Float[Array, "layer ..."], depth: Float[Array, "layer wavelength"]) -> Float[Array, "layer ..."]:
+def sloped(source: Float[Array, "layer ..."], depth: Float[Array, "layer ..."]) -> Float[Array, "layer ..."]:
     """Difference of a source between the lower and the upper end of each layer, by its neighbours' means.
+
+    `depth` has the rank of `source`.
 
     Flattened in thick layers: there a straight line through means would turn negative.
     """
     near = 0.5 * (depth[1:] + depth[:-1])
     near = jnp.where(near > 0.0, near, 1.0)
-    half = jnp.where(np.arange(depth.shape[0] - 1) > 0, 0.5, 1.0)[:, None]
+    first = np.arange(depth.shape[0] - 1) == 0
+    half = jnp.expand_dims(jnp.asarray(np.where(first, 1.0, 0.5), depth.dtype), tuple(range(1, depth.ndim)))
     edge = jnp.zeros_like(depth[:1])
     damped = depth / (1.0 + 0.1 * depth**2)
     above = damped * jnp.concatenate([edge, half[::-1] / near])
     below = damped * jnp.concatenate([half / near, edge])
-    axes = tuple(range(1, source.ndim - 1))
-    step = jnp.diff(source, axis=0)
-    none = jnp.zeros_like(source[:1])
-    return jnp.expand_dims(above, axes) * jnp.concatenate([none, step]) + jnp.expand_dims(below, axes) * jnp.concatenate(
-        [step, none]
-    )
+    step, none = jnp.diff(source, axis=0), jnp.zeros_like(source[:1])
+    return above * jnp.concatenate([none, step]) + below * jnp.concatenate([step, none])
 
 
 def solve(layers: Layers, resolution: Resolution, modes: int) -> Field:
@@ -208,33 +207,37 @@ def solve(layers: Layers, resolution: Resolution, modes: int) -> Field:
     first, second = phi_functions(slant)
     lean = 0.5 * first - second
     turns = None if paths[0].turn is None else _as_met(jnp.stack([p.turn for p in paths]))
-    fade = _as_met(jnp.exp(-slant))
+    # what leaves a layer and its mean, of what enters it, of its source and of the source's step along the way
+    through = _pair_as_met(jnp.exp(-slant), first)
+    emits = _pair_as_met(slant * first, slant * second)
+    leans = _pair_as_met(-slant * lean, lean)
 
-    def run(start, emitted):
-        """Radiance that leaves the last layer, and that enters each layer, in the order met."""
+    def run(start, weights, source, rise):
+        """Radiance that leaves the last layer, and the mean in each layer from the top, of sources as met."""
 
         def step(radiance, layer):
-            decay, source, turn = layer
+            pass_on, turn, weight, lean, level, change = layer
             if turn is not None:
                 radiance = jnp.einsum("dij,dmjw->dmiw", turn, radiance)
-            return radiance * decay[:, None] + source, radiance
+            leaves, mean = weight[:, :, None] * level[None] + pass_on[:, :, None] * radiance[None]
+            if change is not None:
+                leaves, mean = leaves + lean[0, :, None] * change, mean + lean[1, :, None] * change
+            return leaves, mean
 
-        return jax.lax.scan(step, start, (fade, emitted, turns))
+        last, mean = jax.lax.scan(step, start, (through, turns, weights, leans, source, rise))
+        return last, _from_top(mean)
 
-    nothing = jnp.zeros((2, 1, *slant.shape[2:]), dtype)
+    nothing = jnp.zeros((slant.shape[1], 2, 1, *slant.shape[2:]), dtype)
     # the isotropic light of a ground that reflects a unit of flux
-    shine_top, shine = run(nothing.at[1].set(1.0 / np.pi), jnp.zeros((slant.shape[1], *nothing.shape), dtype))
-    shine_top, shine = shine_top[1, 0], _from_top(shine)[1, :, 0]
+    shine_top, shine = run(nothing[0].at[1].set(1.0 / np.pi), emits, nothing, None)
+    shine_top, shine = shine_top[1, 0], shine[1, :, 0]
 
-    def sweep(leaving, within, beam_flux):
+    def sweep(last, mean, beam_flux):
         """Moments of the mean radiance, flux onto the ground and out of the top, for one source."""
-        source = _as_met(leaving)
-        last, entering = run(jnp.zeros_like(source[0]), source)
         flux = jnp.einsum("n,nw->w", flux_weight, last[0, 0])
         reflected = layers.ground_albedo * (flux + beam_flux)
         top = jnp.einsum("n,nw->w", flux_weight, last[1, 0] + reflected[None] * shine_top)
-        entering = _from_top(entering).at[1, :, 0].add(reflected[None, None] * shine)
-        mean = entering * first[:, :, None] + within
+        mean = mean.at[1, :, 0].add(reflected[None, None] * shine)
         both = jnp.stack([mean[0] + mean[1], mean[0] - mean[1]])
         return jnp.einsum("phmn,pkmnw->phmkw", to_moment, both), flux, top
 
@@ -247,11 +250,12 @@ def solve(layers: Layers, resolution: Resolution, modes: int) -> Field:
     once = on_streams(sun[..., None, None] * phase) * layers.beam[None, :-1, None, None]
     beam = layers.beam_depth[:, None] + jnp.zeros_like(slant[0])
     mean = jnp.stack([exp_mean(beam, slant[0]), phi1(beam + slant[1])])
+    met = _as_met(once)
     total = sweep(
-        (slant * mean)[:, :, None] * once,
-        (phi1(beam)[None] - mean)[:, :, None] * once,
+        *run(jnp.zeros_like(met[0]), _pair_as_met(slant * mean, phi1(beam)[None] - mean), met, None),
         jnp.maximum(layers.sun_cosine, 0.0) * layers.beam[-1],
     )
+    thickness = layers.depth[:, None, None]
     diffuse = _diffusion(layers) if resolution.complete else None
 
     def order(carry, _):
@@ -261,12 +265,9 @@ def solve(layers: Layers, resolution: Resolution, modes: int) -> Field:
         else:
             even, odd, *_ = diffuse(left)
             source = on_streams(phase * _added(left, even, odd))
-        step = jnp.stack([sloped(source[0], layers.depth), -sloped(source[1], layers.depth)])
-        scattered = sweep(
-            slant[:, :, None] * (first[:, :, None] * source - lean[:, :, None] * step),
-            (slant * second)[:, :, None] * source + lean[:, :, None] * step,
-            jnp.zeros_like(layers.beam[-1]),
-        )
+        step = jnp.stack([sloped(source[0], thickness), -sloped(source[1], thickness)])
+        met = run(jnp.zeros_like(source[:, 0]), emits, _as_met(source), _as_met(step))
+        scattered = sweep(*met, jnp.zeros_like(layers.beam[-1]))
         left = scattered[0] if diffuse is None else _added(scattered[0], -even, -odd)
         return (left, jax.tree.map(jnp.add, total, scattered)), None
 
@@ -285,6 +286,10 @@ def _added(moments, even, odd):
 def _as_met(array):
     """`[direction, layer from the top, ...]` to `[layer in the order met, direction, ...]`."""
     return jnp.stack([array[0], array[1, ::-1]], axis=1)
+
+
+def _pair_as_met(one, other):
+    return jnp.stack([_as_met(one), _as_met(other)], axis=1)
 
 
 def _from_top(array):
@@ -362,9 +367,41 @@ def multiple_scattering(
     turn = jnp.arange(modes)[:, None] * (view.azimuth - scene.sun_azimuth)[None]
     basis = harmonics(cosine, jnp.sin(view.zenith), count, modes) * jnp.cos(turn)[None, None]
     source = jnp.einsum("phmd,phmkw->kdw", basis, layers.moments[degree_index(count, modes)] * field.moments)
-    slant = layer_airmass(layers.height, cosine, resolution.geometry)[:, :, None] * layers.depth[:, None]
+    airmass = layer_airmass(layers.height, cosine, resolution.geometry)
+    radiance = _seen(source, layers.depth, airmass)
+    return jnp.where(above_horizon(view.zenith)[:, None], radiance, 0.0)
+
+
+@jax.custom_jvp
+def _seen(
+    source: Float[Array, "layer direction wavelength"],
+    depth: Float[Array, "layer wavelength"],
+    airmass: Float[Array, "layer direction"],
+) -> Float[Array, "direction wavelength"]:
+    """Radiance on the ground of what the layers send out along each view.
+
+    Its tangents are sums over layers of derivatives that are the same for all of them and are formed once.
+    """
+    return _along_view(source, *_everywhere(source, depth, airmass))
+
+
+def _everywhere(source, depth, airmass):
+    return jnp.broadcast_to(depth[:, None], source.shape), jnp.broadcast_to(airmass[:, :, None], source.shape)
+
+
+def _along_view(source, depth, airmass):
+    slant = airmass * depth
     below = jnp.cumsum(slant[::-1], axis=0)[::-1] - slant
     first, second = phi_functions(slant)
-    emitted = slant * (first * source - (0.5 * first - second) * sloped(source, layers.depth))
-    radiance = jnp.sum(jnp.exp(-below) * emitted, axis=0)
-    return jnp.where(above_horizon(view.zenith)[:, None], radiance, 0.0)
+    emitted = slant * (first * source - (0.5 * first - second) * sloped(source, depth))
+    return jnp.sum(jnp.exp(-below) * emitted, axis=0)
+
+
+@_seen.defjvp
+def _seen_tangent(primals, tangents):
+    radiance, backward = jax.vjp(_along_view, primals[0], *_everywhere(*primals))
+    by_source, by_depth, by_airmass = backward(jnp.ones_like(radiance))
+    source, depth, airmass = tangents
+    tangent = jnp.einsum("kdw,kdw->dw", by_source, source)
+    tangent += jnp.einsum("kdw,kw->dw", by_depth, depth)
+    return radiance, tangent + jnp.einsum("kdw,kd->dw", by_airmass, airmass)
