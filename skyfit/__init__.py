@@ -7,6 +7,7 @@ from .atmosphere import (
     Exponential as Exponential,
     Ground as Ground,
     HenyeyGreenstein as HenyeyGreenstein,
+    hoffman_haze as hoffman_haze,
     Layered as Layered,
     Ozone as Ozone,
     OzoneLayer as OzoneLayer,
@@ -28,4 +29,5 @@ from .transport import (
     OrdersOfScattering as OrdersOfScattering,
     Path as Path,
     SingleScattering as SingleScattering,
+    Uniform as Uniform,
 )

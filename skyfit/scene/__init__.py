@@ -1,3 +1,4 @@
+from .airmass import relative_airmass as relative_airmass
 from .directions import (
     angle_between as angle_between,
     as_float as as_float,

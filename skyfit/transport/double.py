@@ -15,7 +15,8 @@ from .streams import diffuse_field, Resolution
 class DoubleScattering(AbstractSolver):
     r"""Sunlight that is scattered once or twice over a black ground: no third order, no light of the ground.
 
-    $L = L_1 + \int J_2\, e^{-\tau} d\tau$ with $J_2(\omega) = \sum_c \omega_c \int p_c(\omega, \omega') L_1(\omega') d\omega'$
+    $L = L_1 + \int J_2\, e^{-\tau} d\tau$ with
+    $J_2(\omega) = \sum_c \omega_c \int p_c(\omega, \omega') L_1(\omega') d\omega'$
 
     The once-scattered light is exact, its scattering is that of Gauss streams and Fourier modes with the phase
     function's moments to 2 x `streams` as they are (no delta-M: a truncated peak would count as no scattering).

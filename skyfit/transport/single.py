@@ -178,8 +178,8 @@ class SingleScattering(AbstractSolver):
     @eqx.filter_jit
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
         """Irradiance on the ground: the direct beam, the sky by quadrature, the ground's reflection."""
-        dome, weight = _dome(8, 16)
-        sky = eqx.tree_at(lambda s: s.view, scene, dome)
+        view, weight = dome(8, 16)
+        sky = eqx.tree_at(lambda s: s.view, scene, view)
         diffuse = jnp.asarray(weight, scene.wavelength_nm.dtype) @ _radiance(self, atmosphere, sky)
         extinction = optics(atmosphere.constituents, scene.wavelength_nm).extinction
         beam = transmitted_sun(atmosphere.constituents, scene, extinction, self.geometry)
@@ -197,7 +197,7 @@ def _radiance(solver: SingleScattering, atmosphere: Atmosphere, scene: Scene):
     return once * scene.solar_irradiance[None]
 
 
-def _dome(rings: int, azimuths: int) -> tuple[Directions, np.ndarray]:
+def dome(rings: int, azimuths: int) -> tuple[Directions, np.ndarray]:
     """A product rule over the sky; weights are solid angle times cosine."""
     cosine, weight = gauss_legendre(rings)
     azimuth = 2.0 * np.pi * (np.arange(azimuths) + 0.5) / azimuths

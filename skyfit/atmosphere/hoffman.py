@@ -1,0 +1,52 @@
+"""The haze and fog of Hoffman & Preetham's article."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from ..numerics import hat_weights, read_table
+from ..scene import as_float
+from .constituent import Prescribed
+from .phase import HenyeyGreenstein
+from .profile import Exponential
+
+
+# in the order of the table
+_KINDS = ("light haze", "heavy haze", "light fog", "heavy fog")
+# nm, the article's sample wavelengths of red, green and blue
+HOFFMAN_WAVELENGTHS = (650.0, 570.0, 475.0)
+# m, optical length of haze straight up
+_LENGTH = 1250.0
+# m^-1, the article's range of the haze's absorption
+_MOST_ABSORPTION = 5e-5
+
+
+def hoffman_haze(kind: str, wavelength_nm: Float[ArrayLike, " wavelength"], absorption: float = 0.0) -> Prescribed:
+    r"""Haze or fog of the article's table, 1.25 km of it, to stand as an `Atmosphere`'s aerosol.
+
+    The scattering coefficient is a power of the wavelength between 650, 570 and 475 nm and beyond them.
+
+    **Arguments:** `kind`, "light haze", "heavy haze", "light fog" or "heavy fog"; `wavelength_nm` of the
+    scene, `[wavelength]`; `absorption` coefficient, m^-1, grey.
+    **Returns:** a `Prescribed` constituent.
+    **Valid:** `absorption` 0 to 5e-5 /m, else `ValueError`. Its g is positive and below one (data/hoffman_haze.csv):
+    the printed -1, -3, -10, -30 are no asymmetry parameters, and the printed numerator (1 - g)^2 does not
+    integrate to one.
+    **Source:** Hoffman & Preetham 2002, Table 1 and Sunlight.
+    """
+    if kind not in _KINDS:
+        raise ValueError(f"`kind` must be one of {', '.join(_KINDS)}, got {kind!r}")
+    if not 0.0 <= absorption <= _MOST_ABSORPTION:
+        raise ValueError(f"`absorption` must be within 0-{_MOST_ABSORPTION:g} per metre, got {absorption}")
+    table = {name: float(column[_KINDS.index(kind)]) for name, column in read_table("hoffman_haze.csv").items()}
+    place = np.log(HOFFMAN_WAVELENGTHS[::-1])
+    value = np.log([table["blue"], table["green"], table["red"]])
+    slope = np.diff(value) / np.diff(place)
+    at = jnp.log(as_float(wavelength_nm))
+    inside = hat_weights(at, as_float(place)) @ as_float(value)
+    beyond = slope[0] * jnp.minimum(at - place[0], 0.0) + slope[1] * jnp.maximum(at - place[-1], 0.0)
+    scattering: Float[Array, " wavelength"] = jnp.exp(inside + beyond)
+    extinction = scattering + absorption
+    return Prescribed(
+        extinction * _LENGTH, Exponential(_LENGTH), HenyeyGreenstein(table["asymmetry"]), scattering / extinction
+    )

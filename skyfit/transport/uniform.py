@@ -1,0 +1,118 @@
+"""Constant density: single scattering in closed form, as Hoffman & Preetham have it."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..atmosphere import AbstractConstituent, Atmosphere
+from ..numerics import phi1
+from ..scene import haversine, relative_airmass, Scene
+from .optical_path import above_horizon
+from .single import dome
+from .solver import AbstractSolver, check_on_ground, Fluxes, Geometry, optics, Path
+
+
+class Uniform(AbstractSolver):
+    r"""Single scattering in air and haze of the ground's density that end where their column is used up.
+
+    $L_{in}(s, \gamma) = \frac{1}{\beta_{ex}} E_{sun} \beta_{sc}(\gamma) (1 - e^{-\beta_{ex} s})$ in a shell, the
+    shells one inside the other: all scatterers in the innermost, the one of the greatest optical length alone in
+    the outermost. A constituent has the coefficient $\beta = \tau \rho(0)$ and the optical length
+    $1 / \rho(0)$ straight up, `relative_airmass` times that along other directions. $E_{sun}$ is the irradiance
+    at the ground; a constituent that only absorbs filters it and has no shell.
+
+    With a scene at 650, 570 and 475 nm and an irradiance of one's own scale this is the article's RGB model; its
+    haze is `hoffman_haze`. The reference for errors is the integral through real profiles (`SingleScattering`).
+    **Valid:** sun above the horizon (the sky is black below it); observer on the ground.
+    **Source:** Hoffman & Preetham 2002, eq. 1-5 and Sky Color; the stored text of the two-shell sum lacks the plus
+    between its two terms.
+    """
+
+    geometry: Geometry = eqx.field(static=True, default="flat")
+
+    def __check_init__(self):
+        if self.geometry != "flat":
+            raise ValueError(f'`geometry` must be "flat" for Uniform, got {self.geometry!r}')
+
+    @eqx.filter_jit
+    def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
+        """Sky radiance by one scattering in the shells, W m^-2 sr^-1 nm^-1."""
+        check_on_ground(scene, "Uniform")
+        return _radiance(atmosphere, scene)
+
+    @eqx.filter_jit
+    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
+        """Irradiance on the ground: the direct beam, the sky by quadrature, the ground's reflection."""
+        check_on_ground(scene, "Uniform")
+        view, weight = dome(16, 16)
+        sky = _radiance(atmosphere, eqx.tree_at(lambda s: s.view, scene, view))
+        diffuse = jnp.asarray(weight, sky.dtype) @ sky
+        direct = _sun(atmosphere.constituents, scene) * jnp.maximum(jnp.cos(scene.sun_zenith), 0.0)
+        return Fluxes(direct, diffuse, atmosphere.ground.reflectance(scene.wavelength_nm) * (direct + diffuse))
+
+    @eqx.filter_jit
+    def path(self, atmosphere: Atmosphere, scene: Scene, distance: Float[Array, " direction"]) -> Path:
+        r"""What lies between the eye and objects in air of the ground's density, $e^{-\beta_{ex} s}$ and eq. 4.
+
+        **Arguments:** `distance` to the objects, m, one per view (any view, downward too).
+        **Returns:** `Path`. **Valid:** near the ground: the density does not fall with height.
+        """
+        check_on_ground(scene, "Uniform")
+        shells = _shells(atmosphere.constituents, scene)
+        if not shells.length.size:
+            clear = jnp.zeros((distance.shape[0], scene.wavelength_nm.shape[0]))
+            return Path(clear + 1.0, clear)
+        slant = distance[:, None] * jnp.sum(shells.extinction, axis=0)[None]
+        scattered = jnp.sum(shells.scattered, axis=0) * distance[:, None] * phi1(slant)
+        return Path(jnp.exp(-slant), _sun(atmosphere.constituents, scene)[None] * scattered)
+
+
+class _Shells(NamedTuple):
+    """Coefficients at the ground, m^-1, of every scatterer, and its optical length straight up, m."""
+
+    extinction: Float[Array, "constituent wavelength"]
+    scattered: Float[Array, "constituent direction wavelength"]
+    length: Float[Array, " constituent"]
+
+
+def _shells(constituents: tuple[AbstractConstituent, ...], scene: Scene) -> _Shells:
+    depth = optics(constituents, scene.wavelength_nm)
+    half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)
+    extinction, scattered, length = [], [], []
+    ground = jnp.zeros_like(scene.sun_zenith)
+    for i, c in enumerate(constituents):
+        if c.phase is not None:
+            # a layer that begins above the ground has no density there: a very long shell keeps its column
+            density = jnp.maximum(c.profile.density(ground), 1e-9)
+            extinction.append(depth.extinction[i] * density)
+            scattered.append(c.phase.value(half, scene.wavelength_nm) * (depth.scattering[i] * density)[None])
+            length.append(1.0 / density)
+    if not length:
+        return _Shells(depth.extinction[:0], depth.extinction[:0, None], depth.extinction[:0, 0])
+    return _Shells(jnp.stack(extinction), jnp.stack(scattered), jnp.stack(length))
+
+
+def _sun(constituents: tuple[AbstractConstituent, ...], scene: Scene) -> Float[Array, " wavelength"]:
+    """Irradiance of the sun at the ground, normal to its light, W m^-2 nm^-1."""
+    depth = jnp.sum(optics(constituents, scene.wavelength_nm).extinction, axis=0)
+    transmitted = jnp.exp(-depth * relative_airmass(scene.sun_zenith))
+    return jnp.where(jnp.cos(scene.sun_zenith) > 0.0, scene.solar_irradiance * transmitted, 0.0)
+
+
+def _radiance(atmosphere: Atmosphere, scene: Scene):
+    shells = _shells(atmosphere.constituents, scene)
+    if not shells.length.size:
+        return jnp.zeros((scene.view.zenith.shape[0], scene.wavelength_nm.shape[0]))
+    ends = jnp.sort(shells.length)
+    thickness = jnp.diff(ends, prepend=0.0)
+    # the rest of a scatterer's length, shell by shell from the inside
+    present = (shells.length[None] >= ends[:, None]).astype(ends.dtype)
+    way = thickness[:, None] * relative_airmass(scene.view.zenith)[None]
+    slant = way[:, :, None] * (present @ shells.extinction)[:, None]
+    inside = jnp.cumsum(slant, axis=0) - slant
+    scattered = jnp.einsum("sc,cdw->sdw", present, shells.scattered)
+    light = jnp.sum(scattered * way[:, :, None] * phi1(slant) * jnp.exp(-inside), axis=0)
+    seen = jnp.where(above_horizon(scene.view.zenith)[:, None], light, 0.0)
+    return seen * _sun(atmosphere.constituents, scene)[None]
