@@ -58,7 +58,10 @@ class SolverName(StrEnum):
     """Transport solvers by their short names."""
 
     orders = "orders"
+    double = "double"
     single = "single"
+    shells = "shells"
+    uniform = "uniform"
 
 
 class PresetName(StrEnum):
@@ -76,7 +79,9 @@ class GeometryName(StrEnum):
     spherical = "spherical"
 
 
-SolverOption = Annotated[SolverName, typer.Option(help="all orders of scattering, or single scattering")]
+SolverOption = Annotated[
+    SolverName, typer.Option(help="all orders of scattering, two, one, Klassen's shells, Hoffman's uniform air")
+]
 PresetOption = Annotated[PresetName, typer.Option(help="resolution of the solver")]
 GeometryOption = Annotated[GeometryName, typer.Option(help="curved paths, or a flat Earth")]
 OutFolder = Annotated[Path, typer.Option("--out", help="folder for the results")]
@@ -90,7 +95,13 @@ LineShape = Annotated[float | None, typer.Option(help="Gaussian line shape of th
 
 
 def _solver(name: SolverName, preset: PresetName, geometry: GeometryName) -> AbstractSolver:
-    kinds = {SolverName.orders: OrdersOfScattering, SolverName.single: SingleScattering}
+    kinds = {
+        SolverName.orders: OrdersOfScattering,
+        SolverName.double: DoubleScattering,
+        SolverName.single: SingleScattering,
+        SolverName.shells: Shells,
+        SolverName.uniform: Uniform,
+    }
     return getattr(kinds[name], preset.value)(geometry.value)
 
 

@@ -42,7 +42,7 @@ class DoubleScattering(AbstractSolver):
     @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "DoubleScattering":
         """6 streams."""
-        return cls(streams=6, modes=8, levels=16, nodes=16, spectral_nodes=6, geometry=geometry)
+        return cls(streams=6, modes=12, levels=16, nodes=16, spectral_nodes=6, geometry=geometry)
 
     @classmethod
     def normal(cls, geometry: Geometry = "spherical") -> "DoubleScattering":

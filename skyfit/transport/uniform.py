@@ -36,6 +36,21 @@ class Uniform(AbstractSolver):
         if self.geometry != "flat":
             raise ValueError(f'`geometry` must be "flat" for Uniform, got {self.geometry!r}')
 
+    @classmethod
+    def draft(cls, geometry: Geometry = "flat") -> "Uniform":
+        """As `normal`: the sums are closed."""
+        return cls(geometry)
+
+    @classmethod
+    def normal(cls, geometry: Geometry = "flat") -> "Uniform":
+        """There is nothing to resolve."""
+        return cls(geometry)
+
+    @classmethod
+    def fine(cls, geometry: Geometry = "flat") -> "Uniform":
+        """As `normal`: the sums are closed."""
+        return cls(geometry)
+
     @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance by one scattering in the shells, W m^-2 sr^-1 nm^-1."""
