@@ -43,7 +43,7 @@ from .fit import (
     with_values,
 )
 from .scene import Directions, hemisphere, Scene, Sky
-from .transport import AbstractSolver, OrdersOfScattering, SingleScattering
+from .transport import AbstractSolver, DoubleScattering, OrdersOfScattering, SingleScattering, Uniform
 
 
 app = typer.Typer(
@@ -60,7 +60,6 @@ class SolverName(StrEnum):
     orders = "orders"
     double = "double"
     single = "single"
-    shells = "shells"
     uniform = "uniform"
 
 
@@ -99,7 +98,6 @@ def _solver(name: SolverName, preset: PresetName, geometry: GeometryName) -> Abs
         SolverName.orders: OrdersOfScattering,
         SolverName.double: DoubleScattering,
         SolverName.single: SingleScattering,
-        SolverName.shells: Shells,
         SolverName.uniform: Uniform,
     }
     return getattr(kinds[name], preset.value)(geometry.value)

@@ -47,15 +47,19 @@ def against_oracle(module, shared, file, solver, preset, geometry, max_sun, max_
 
 @pytest.mark.parametrize("file", ["oracle_pp_rayleigh.npz", "oracle_pp_aerosol.npz"])
 def test_flat_single_scattering_meets_the_oracle(shared, oracle_check, file):
-    """The oracle's haze is layered: 0.05 % remain, at view zenith 85."""
+    """The oracle's haze is layered: 0.05 % remain, at view zenith 85; of air alone 3e-6."""
     row = against_oracle(oracle_check, shared, file, "single", "normal", "flat", 85.0)
-    assert row["max_relative_error"] < 1e-3 and row["median_relative_error"] < 2e-5, row
+    limit = 6e-4 if "aerosol" in file else 1e-5
+    assert row["max_relative_error"] < limit and row["median_relative_error"] < 1e-5, row
+    row = against_oracle(oracle_check, shared, file, "single", "normal", "flat", 85.0, 80.0)
+    assert row["max_relative_error"] < 3e-4, row
 
 
 @pytest.mark.parametrize("file", ["oracle_sph_rayleigh.npz", "oracle_sph_aerosol.npz"])
-def test_spherical_single_scattering_meets_the_oracle(shared, oracle_check, file):
-    row = against_oracle(oracle_check, shared, file, "single", "fine", "spherical", 90.0, 89.0)
-    assert row["max_relative_error"] < 2e-3 and row["median_relative_error"] < 1e-4, row
+def test_spherical_single_scattering_meets_the_oracle_into_twilight(shared, oracle_check, file):
+    """What remains, 2.5e-4 at 89, 89 degrees, is the oracle's: adaptive integrals differ from it as much."""
+    row = against_oracle(oracle_check, shared, file, "single", "normal", "spherical", 95.0, 89.0)
+    assert row["max_relative_error"] < 3e-4 and row["median_relative_error"] < 1e-5, row
 
 
 @pytest.mark.parametrize("file", ["oracle_pp_rayleigh.npz", "oracle_pp_aerosol.npz"])

@@ -78,7 +78,12 @@ def spherical_integral(sun, view, azimuth, depths, heights, albedos):
         for _ in range(60):
             middle = 0.5 * (start + lit)
             start, lit = (middle, lit) if shaded(middle) else (start, middle)
-    distance, weight = panels(start, np.geomspace(200.0, 2e6, 14), 12)
+    # the air ends at 100 km, 4e-6 of its column from the top
+    climb = EARTH_RADIUS * viewward[2]
+    end = np.sqrt(climb**2 + 100e3 * (2.0 * EARTH_RADIUS + 100e3)) - climb
+    if end <= start:
+        return 0.0
+    distance, weight = panels(start, (end - start) * np.geomspace(1e-3, 1.0, 14), 12)
     points = eye + distance[:, None] * viewward
     before, before_weight = panels(0.0, np.linspace(0.0, 1.0, 9)[1:])
     to_eye = np.array([d * before_weight @ density(eye + d * before[:, None] * viewward).sum(-1) for d in distance])
@@ -108,16 +113,16 @@ def test_the_independent_integral_is_good_to_a_part_in_a_million():
     assert spherical_integral(*arguments) == pytest.approx(flat_integral(*arguments), rel=2e-3)
 
 
-@pytest.mark.parametrize("sun", [30.0, 60.0, 80.0, 86.0, 89.0, 90.0, 91.0, 92.0])
+@pytest.mark.parametrize("sun", [30.0, 60.0, 80.0, 86.0, 89.0, 90.0, 91.0, 92.0, 94.0, 96.0])
 def test_spherical_single_scattering_is_the_integral(x64, sun):
     depths, heights, albedos = (0.25, 0.3), (8000.0, 1200.0), (1.0, 0.9)
     zenith, azimuth = [0.0, 45.0, 80.0], [10.0, 90.0, 170.0]
     expected = np.ravel([[spherical_integral(sun, v, a, depths, heights, albedos) for a in azimuth] for v in zenith])
     scene = unit_scene(sun, views(zenith, azimuth))
     fine = SingleScattering.fine("spherical").radiance(haze_over_air(*depths), scene)[:, 0]
-    np.testing.assert_allclose(fine, expected, rtol=1e-3)
+    np.testing.assert_allclose(fine, expected, rtol=2e-6)
     normal = SingleScattering.normal("spherical").radiance(haze_over_air(*depths), scene)[:, 0]
-    np.testing.assert_allclose(normal, expected, rtol=3e-3 if sun <= 90.0 else 1.5e-2)
+    np.testing.assert_allclose(normal, expected, rtol=1e-5)
 
 
 def test_flat_quadrature_converges_fast_in_nodes(x64):

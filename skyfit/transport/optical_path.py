@@ -1,33 +1,50 @@
 """Columns along straight rays through a flat or a spherical atmosphere, normalised to the vertical column."""
 
+import functools
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..atmosphere import AbstractProfile
+from ..atmosphere import AbstractProfile, Exponential, Layered, OzoneLayer
 from ..numerics import gauss_legendre, hat_weights, safe_sqrt
 from .solver import Geometry
 
 
 # m, mean radius of the Earth
 EARTH_RADIUS = 6371e3
+# m, where the air ends for what is scattered; 4e-6 of a column of 8 km lie above
+TOP_OF_AIR = 100e3
 # a flat atmosphere has no horizon: cosines below this are taken as this
 MIN_COSINE = 1e-4
 _COLUMN_NODES = 16
 
 
-def exponential_nodes(count: int, grading: int = 1) -> tuple[np.ndarray, np.ndarray]:
+def exponential_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
     r"""Nodes y on (0, inf) and weights for integrands that fall about as $e^{-y}$.
 
-    Gauss-Legendre in x with $1 - e^{-y} = x^{grading}$; a grading of 2 crowds the nodes toward the start.
+    Gauss-Legendre in x with $1 - e^{-y} = x$.
 
-    **Arguments:** `count`, nodes; `grading`, 1 or 2. **Returns:** y and dy weights, `[count]` each.
+    **Arguments:** `count`, nodes. **Returns:** y and dy weights, `[count]` each.
     """
     x, weight = gauss_legendre(count)
-    share = x**grading
-    return -np.log1p(-share), weight * grading * x ** (grading - 1) / (1.0 - share)
+    return -np.log1p(-x), weight / (1.0 - x)
+
+
+def graded_nodes(length: Float[Array, "*shape"], count: int) -> tuple[Float[Array, "*shape node"], ...]:
+    r"""Nodes y on (0, length) and weights for integrands that fall about as $e^{-y}$, dense toward the start.
+
+    Gauss-Legendre in x with $1 - e^{-y} = x^2 (1 - e^{-length})$; for a short length $y = x^2\, length$.
+
+    **Arguments:** `length`, dimensionless, >= 0; `count`, nodes. **Returns:** y and dy weights.
+    """
+    axes = tuple(range(length.ndim))
+    x, weight = (jnp.expand_dims(jnp.asarray(v, length.dtype), axes) for v in gauss_legendre(count))
+    share = -jnp.expm1(-length)[..., None]
+    left = x**2 * share
+    return -jnp.log1p(-left), 2.0 * weight * x * share / (1.0 - left)
 
 
 def height_gain(radius, cosine, distance):
@@ -43,16 +60,111 @@ def length_scale(radius, cosine, height):
     return square / (jnp.sqrt(start**2 + square) + start)
 
 
+# `_grazing`'s integrals times (1 + 0.4 x), polynomials in (1 - 0.4 x) / (1 + 0.4 x): least squares of the relative
+# error to scipy's erfcx and to quadrature; 7e-9 and 9e-5 at most
+_ERFCX = (
+    0.747289102, 0.570483355, 0.321816899, 0.121412843, 0.0201053542, -0.00594391372,
+    -0.00340407857, 0.000294040855, 0.000470715353, -1.94051036e-05, -5.10730367e-05,
+)  # fmt: skip
+_CURVATURE = (
+    0.665488992, 0.275466489, -0.109482403, -0.187487107, -0.048507171, 0.0443745034,
+    0.0248734355,
+)  # fmt: skip
+
+
+def _grazing(x):
+    r"""$E = \int_a^\infty e^{a-b} b^{-1/2} db = \sqrt\pi\, erfcx(x)$, with $a = x^2$, and what curvature adds to it.
+
+    $J = \frac34 (x + \frac E2) - \frac a2 E - \frac{a^2}{4} (\frac 2x - 2E)$ cancels for large x: both by polynomials.
+    """
+    near = 1.0 / (1.0 + 0.4 * x)
+    place = 2.0 * near - 1.0
+
+    def polynomial(coefficients):
+        value = coefficients[-1]
+        for c in coefficients[-2::-1]:
+            value = value * place + c
+        return near * value
+
+    return polynomial(_ERFCX), polynomial(_CURVATURE)
+
+
+def chapman_column(scale_height, height, cosine):
+    r"""The column of $e^{-h/H}/H$ along a ray that climbs through a sphere, in closed form.
+
+    $e^{-h/H} \sqrt{X/2}\, (E(x) + J(x) / X)$ with $X = (R + h) / H$, $x = \mu \sqrt{X/2}$: the first two terms of
+    Chapman's integral in 1/X.
+
+    **Arguments:** `scale_height`, `height` in m, `cosine` of the zenith angle there. **Returns:** dimensionless.
+    **Valid:** cosine >= 0; within 1e-5 for scale heights to 30 km, 4e-7 at 8 km.
+    **Source:** Chapman 1931, Proc. Phys. Soc. 43, 26; Huestis 2001, JQSRT 69, 709. The second term is derived here:
+    $\int e^{-\zeta} (\zeta - \zeta^2 / 4b)\, b^{-1/2} d\zeta$ with $b = a + \zeta$.
+    """
+    ratio = (EARTH_RADIUS + height) / scale_height
+    root = jnp.sqrt(0.5 * ratio)
+    first, second = _grazing(root * cosine)
+    return jnp.exp(-height / scale_height) * root * (first + second / ratio)
+
+
+def layered_column(profile: Layered, height, cosine):
+    """The column of homogeneous layers along a ray that climbs: exact lengths within each."""
+    per_metre = profile.fraction / jnp.sum(profile.fraction) / jnp.diff(profile.edges)
+    climb = jnp.expand_dims(profile.edges, range(height.ndim)) - height[..., None]
+    above = climb > 0.0
+    length = length_scale((EARTH_RADIUS + height)[..., None], cosine[..., None], jnp.where(above, climb, 1.0))
+    return jnp.diff(jnp.where(above, length, 0.0), axis=-1) @ per_metre
+
+
 def outward_column(profile: AbstractProfile, height, cosine, geometry: Geometry):
     """As `slant_column` for a ray that climbs: valid for `cosine` >= 0 only, at half its cost."""
     if geometry == "flat":
         return profile.above(height) / jnp.maximum(cosine, MIN_COSINE)
-    nodes, weights = exponential_nodes(_COLUMN_NODES)
+    leaves, tree = jax.tree.flatten(profile)
+    if any(leaf.ndim for leaf in leaves):
+        return _spherical_column(profile, height, cosine)
+    return _column_of(tree, height, cosine, *leaves)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _column_of(tree, height, cosine, *leaves):
+    """The column of a profile of numbers: each derivative is formed once, however many tangents there are."""
+    return _spherical_column(jax.tree.unflatten(tree, leaves), height, cosine)
+
+
+def _column_tangent(tree, primals, tangents):
+    tangent = jnp.zeros_like(primals[0])
+    for i, dot in enumerate(tangents):
+        if isinstance(dot, jax.custom_derivatives.SymbolicZero):
+            continue
+
+        def along(value, i=i):
+            height, cosine, *leaves = (*primals[:i], value, *primals[i + 1 :])
+            return _spherical_column(jax.tree.unflatten(tree, leaves), height, cosine)
+
+        _, slope = jax.jvp(along, (primals[i],), (jnp.ones_like(primals[i]),))
+        tangent += slope * jnp.broadcast_to(dot, slope.shape)
+    return _column_of(tree, *primals), tangent
+
+
+_column_of.defjvp(_column_tangent, symbolic_zeros=True)
+
+
+def _spherical_column(profile: AbstractProfile, height, cosine):
+    if isinstance(profile, Exponential):
+        return chapman_column(profile.scale_height, height, cosine)
+    if isinstance(profile, Layered):
+        return layered_column(profile, height, cosine)
+    if isinstance(profile, OzoneLayer):
+        # it begins and ends: to where 1e-5 of it are left, without a tail
+        nodes, weights = gauss_legendre(_COLUMN_NODES)
+        climb = profile.height + 12.0 * profile.thickness
+    else:
+        nodes, weights = exponential_nodes(_COLUMN_NODES)
+        climb = profile.reach()
     radius = (EARTH_RADIUS + height)[..., None]
     cosine = cosine[..., None]
-    scale = length_scale(radius, cosine, profile.reach())
-    axes = tuple(range(height.ndim))
-    distance = scale * jnp.expand_dims(jnp.asarray(nodes, height.dtype), axes)
+    scale = length_scale(radius, cosine, climb)
+    distance = scale * jnp.expand_dims(jnp.asarray(nodes, height.dtype), range(height.ndim))
     density = profile.density(height[..., None] + height_gain(radius, cosine, distance))
     return (density @ jnp.asarray(weights, height.dtype)) * scale[..., 0]
 
@@ -71,7 +183,10 @@ def slant_column(
     **Returns:** dimensionless, the airmass times the share of the column above.
     **Valid:** every cosine; flat: cosines below 1e-4 are taken as 1e-4; spherical: a ray that would enter the
     ground is continued with its tangent point on the ground (`sunlit` says which do).
-    **Source:** Klassen 1987, eq. 27, 28 with the exact change of variable (his l(r) is linear in r).
+    Exponential profiles within 1e-5, layers exactly, ozone of 20 +- 5 km within 2e-4 at the horizon and 4e-5
+    above it, others by as many nodes on an exponential scale.
+    **Source:** `chapman_column`; quadrature: Klassen 1987, eq. 27, 28 with the exact change of variable (his l(r)
+    is linear in r).
     """
     if geometry == "flat":
         return outward_column(profile, height, cosine, geometry)

@@ -1,85 +1,17 @@
-"""Single scattering: sunlight that is scattered once on its way to an observer on the ground."""
-
-from typing import NamedTuple
+"""Single scattering: sunlight that is scattered once on its way to an observer, from the ground to space."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractConstituent, Atmosphere
 from ..numerics import gauss_legendre
-from ..scene import Directions, haversine, Scene
-from .optical_path import (
-    above_horizon,
-    EARTH_RADIUS,
-    exponential_nodes,
-    height_gain,
-    length_scale,
-    MIN_COSINE,
-    outward_column,
-    slant_column,
-    sunlit,
-)
-from .solver import AbstractSolver, check_geometry, Fluxes, Geometry, optics
-
-
-class ViewPath(NamedTuple):
-    """Points along each view and what lies between them, the eye and the sun."""
-
-    source: Float[Array, "constituent direction node"]
-    column: Float[Array, "direction node constituent"]
-
-
-def view_path(constituents: tuple[AbstractConstituent, ...], scene: Scene, nodes: int, geometry: Geometry) -> ViewPath:
-    """Quadrature points along each view: densities with weights, and columns eye - point - sun.
-
-    **Arguments:** `nodes`, points per view. **Returns:** `ViewPath`; `source` is density times weight,
-    dimensionless, zero in the Earth's shadow; `column` is normalised to the vertical column.
-    """
-    zenith, azimuth = scene.view.zenith, scene.view.azimuth
-    cosine = jnp.maximum(jnp.cos(zenith), 0.0 if geometry == "spherical" else MIN_COSINE)
-    sun_cosine = jnp.cos(scene.sun_zenith)
-    to_sun = 1.0 - 2.0 * haversine(zenith, scene.sun_zenith, azimuth - scene.sun_azimuth)
-    y, weight = (jnp.asarray(v, cosine.dtype)[None] for v in exponential_nodes(nodes, grading=2))
-    reach = jnp.max(jnp.stack([c.profile.reach() for c in constituents if c.phase is not None]))
-    if geometry == "flat":
-        height = reach * y + jnp.zeros_like(cosine)[:, None]
-        step = reach / cosine[:, None] * weight
-        view_cosine = cosine[:, None] + jnp.zeros_like(height)
-        local_sun = sun_cosine + jnp.zeros_like(height)
-    else:
-        scale = length_scale(EARTH_RADIUS, cosine, reach)[:, None]
-        start = _shadow_length(cosine, sun_cosine, to_sun)[:, None]
-        distance = start + scale * y
-        step = scale * weight
-        height = height_gain(EARTH_RADIUS, cosine[:, None], distance)
-        radius = EARTH_RADIUS + height
-        view_cosine = (EARTH_RADIUS * cosine[:, None] + distance) / radius
-        local_sun = (EARTH_RADIUS * sun_cosine + distance * to_sun[:, None]) / radius
-    lit = sunlit(height, local_sun, geometry) & above_horizon(zenith)[:, None]
-    source = jnp.stack([jnp.where(lit, step * c.profile.density(height), 0.0) for c in constituents])
-    ground = jnp.zeros_like(cosine)
-    column = jnp.stack(
-        [
-            outward_column(c.profile, ground, cosine, geometry)[:, None]
-            - outward_column(c.profile, height, view_cosine, geometry)
-            + slant_column(c.profile, height, local_sun, geometry)
-            for c in constituents
-        ],
-        axis=-1,
-    )
-    return ViewPath(source, jnp.maximum(column, 0.0))
-
-
-def _shadow_length(cosine, sun_cosine, to_sun):
-    """How far (m) a view from the ground runs in the Earth's shadow when the sun is below the horizon."""
-    below = jnp.minimum(sun_cosine, 0.0)
-    across = cosine - below * to_sun
-    sine_square = jnp.maximum(1.0 - to_sun**2, 0.0)
-    root = jnp.sqrt(jnp.maximum(across**2 + sine_square * below**2, 1e-30))
-    # no further than 1e8 m, where no air is left
-    return EARTH_RADIUS * below**2 / jnp.maximum(across + root, 0.06 * below**2 + 1e-9)
+from ..scene import Directions, Scene
+from .optical_path import slant_column
+from .solver import AbstractSolver, check_geometry, Fluxes, Geometry, optics, Path
+from .view_path import end_points, eye_column, lit_points, Views, views_of
 
 
 def single_scattering(
@@ -94,17 +26,53 @@ def single_scattering(
     **Arguments:** `extinction`, optical depths that attenuate (a delta-M solver passes its scaled ones; what
     scatters is unscaled); `nodes`, points per view. **Returns:** `[direction, wavelength]`.
     """
-    path = view_path(constituents, scene, nodes, geometry)
+    return _scattered_once(constituents, scene, extinction, nodes, geometry, views_of(scene, geometry))
+
+
+def _scattered_once(constituents, scene: Scene, extinction, nodes: int, geometry: Geometry, views: Views):
+    reach = jnp.max(jnp.stack([c.profile.reach() for c in constituents if c.phase is not None]))
+    points, step = lit_points(views, reach, nodes, geometry)
+    to_eye = [eye_column(c.profile, views, points, geometry) for c in constituents]
+    to_sun = [slant_column(c.profile, points.height, points.sun_cosine, geometry) for c in constituents]
+    column = jnp.stack([e + s for e, s in zip(to_eye, to_sun, strict=True)], axis=-1)
+    scatterers = [constituents[i] for i in scatterer_indices(constituents)]
+    source = jnp.stack([step * c.profile.density(points.height) for c in scatterers], axis=1)
+    integral = _dimmed(source, column, extinction)
     scattering = optics(constituents, scene.wavelength_nm).scattering
-    half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)
-    transmittance = jnp.exp(-(path.column @ extinction))
-    integral = jnp.stack([path.source[i] for i in scatterer_indices(constituents)], axis=1) @ transmittance
-    total, row = jnp.zeros_like(integral[:, 0]), 0
-    for c, depth in zip(constituents, scattering, strict=True):
-        if c.phase is not None:
-            total = total + c.phase.value(half, scene.wavelength_nm) * depth[None] * integral[:, row]
-            row += 1
+    total = jnp.zeros_like(integral[:, 0])
+    for row, i in enumerate(scatterer_indices(constituents)):
+        phase = constituents[i].phase.value(views.half_angle, scene.wavelength_nm)
+        total = total + phase * scattering[i][None] * integral[:, row]
     return total
+
+
+@jax.custom_jvp
+def _dimmed(
+    source: Float[Array, "direction scatterer node"],
+    column: Float[Array, "direction node constituent"],
+    extinction: Float[Array, "constituent wavelength"],
+) -> Float[Array, "direction scatterer wavelength"]:
+    """Sums over each view of what its points send out and the columns let through.
+
+    Its tangents are contracted before they meet the wavelengths: no tangent of a transmittance is formed.
+    """
+    return source @ jnp.exp(-(column @ extinction))
+
+
+@_dimmed.defjvp
+def _dimmed_tangent(primals, tangents):
+    source, column, extinction = primals
+    source_dot, column_dot, extinction_dot = tangents
+    transmittance = jnp.exp(-(column @ extinction))
+
+    def weighted(columns):
+        terms = jnp.einsum("dsn,dnc->dscn", source, columns)
+        return jnp.einsum("dscn,dnw->dscw", terms, transmittance)
+
+    tangent = source_dot @ transmittance
+    tangent -= jnp.einsum("dscw,cw->dsw", weighted(column), extinction_dot)
+    tangent -= jnp.einsum("dscw,cw->dsw", weighted(column_dot), extinction)
+    return source @ transmittance, tangent
 
 
 def scatterer_indices(constituents: tuple[AbstractConstituent, ...]) -> tuple[int, ...]:
@@ -143,9 +111,11 @@ class SingleScattering(AbstractSolver):
 
     $L = E_0 \sum_c p_c(\gamma)\,\beta_c \int \rho_c(h(s))\, e^{-\tau(s) - \tau_\odot(s)}\, ds$
 
-    `nodes` quadrature points per view; `geometry` "flat" or "spherical" (curved paths for view and sun, the
-    Earth's shadow as the start of the path). No light of the ground, no second scattering.
-    **Valid:** sun zenith to 95 degrees spherical, below 90 flat (beyond it the sky is black).
+    `nodes` quadrature points per lit part of a view; `geometry` "flat" or "spherical" (straight rays through
+    spherical shells for view and sun, the Earth's shadow as an end of the parts). The observer may stand
+    anywhere from the ground to space; a view down ends at the ground and holds the light scattered above it.
+    No light of the ground, no second scattering.
+    **Valid:** any sun; flat: above the horizon (below it the sky is black).
     **Source:** Nishita et al. 1993; Bruneton & Neyret 2008, sec. 3; ERRATA of the papers on sun distances.
     """
 
@@ -172,14 +142,32 @@ class SingleScattering(AbstractSolver):
 
     @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
-        """Sky radiance by single scattering, W m^-2 sr^-1 nm^-1."""
+        """Radiance by single scattering, W m^-2 sr^-1 nm^-1; black below the horizon of an observer on the ground."""
         return _radiance(self, atmosphere, scene)
+
+    @eqx.filter_jit
+    def path(self, atmosphere: Atmosphere, scene: Scene, distance: Float[Array, " direction"]) -> Path:
+        """The air between the observer and objects at `distance` (m) along each view.
+
+        **Arguments:** `distance`, >= 0, infinite for the sky. **Valid:** a view that meets the ground ends there.
+        """
+        constituents, count = atmosphere.constituents, scene.wavelength_nm.shape[0]
+        extinction = optics(constituents, scene.wavelength_nm).extinction
+        views = views_of(scene, self.geometry, distance)
+        depth = jnp.zeros((distance.shape[0], count))
+        for c, vertical in zip(constituents, extinction, strict=True):
+            depth = depth + eye_column(c.profile, views, end_points(views, self.geometry), self.geometry) * vertical
+        inscatter = jnp.zeros_like(depth)
+        if scatterer_indices(constituents):
+            once = _scattered_once(constituents, scene, extinction, self.nodes, self.geometry, views)
+            inscatter = once * scene.solar_irradiance[None]
+        return Path(jnp.exp(-depth), inscatter)
 
     @eqx.filter_jit
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
         """Irradiance on the ground: the direct beam, the sky by quadrature, the ground's reflection."""
         view, weight = dome(8, 16)
-        sky = eqx.tree_at(lambda s: s.view, scene, view)
+        sky = Scene(scene.sun_zenith, scene.sun_azimuth, view, scene.wavelength_nm, scene.solar_irradiance)
         diffuse = jnp.asarray(weight, scene.wavelength_nm.dtype) @ _radiance(self, atmosphere, sky)
         extinction = optics(atmosphere.constituents, scene.wavelength_nm).extinction
         beam = transmitted_sun(atmosphere.constituents, scene, extinction, self.geometry)
