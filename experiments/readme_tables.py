@@ -13,12 +13,13 @@ START, END = "<!-- figures of experiments/results/accuracy.json -->", "<!-- end 
 def tables(record: dict) -> str:
     """The README's tables as Markdown."""
     lines = [
-        "| solver | preset | geometry | to zenith | max error | median error | one sky (343 x 41) |",
+        "| solver | preset | geometry | sun, view to | max error | median error | one sky (343 x 41) |",
         "|---|---|---|---|---|---|---|",
     ]
     for row in record["oracles"]:
         lines.append(
-            f"| {row['solver']} | {row['preset']} | {row['geometry']} | {row['limit_deg']:.0f}° "
+            f"| {row['solver']} | {row['preset']} | {row['geometry']} "
+            f"| {row['max_sun_zenith']:.0f}°, {row['max_view_zenith']:.0f}° "
             f"| {100 * row['max_relative_error']:.2g} % | {100 * row['median_relative_error']:.2g} % "
             f"| {1e3 * row['seconds_per_sky']:.1f} ms |"
         )
