@@ -28,4 +28,6 @@ from .transport import (
     OrdersOfScattering as OrdersOfScattering,
     Path as Path,
     SingleScattering as SingleScattering,
+    upsample as upsample,
+    Upsampled as Upsampled,
 )

@@ -2,3 +2,4 @@ from .double import DoubleScattering as DoubleScattering
 from .orders import OrdersOfScattering as OrdersOfScattering
 from .single import SingleScattering as SingleScattering
 from .solver import AbstractSolver as AbstractSolver, Fluxes as Fluxes, Geometry as Geometry, Path as Path
+from .upsample import upsample as upsample, Upsampled as Upsampled
