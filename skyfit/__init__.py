@@ -30,4 +30,6 @@ from .transport import (
     Path as Path,
     SingleScattering as SingleScattering,
     Uniform as Uniform,
+    upsample as upsample,
+    Upsampled as Upsampled,
 )

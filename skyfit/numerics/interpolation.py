@@ -27,10 +27,13 @@ def chebyshev_nodes(count: int) -> np.ndarray:
     return -np.cos(np.pi * (np.arange(count) + 0.5) / count)
 
 
-def chebyshev_weights(x: Float[Array, " wavelength"], count: int) -> Float[Array, "wavelength node"]:
+def chebyshev_weights(
+    x: Float[Array, " wavelength"], count: int, kept: int | None = None
+) -> Float[Array, "wavelength node"]:
     """Weights of polynomial interpolation from `chebyshev_nodes(count)` to points `x` in [-1, 1].
 
-    **Arguments:** `x`, dimensionless; `count`, number of nodes.
+    **Arguments:** `x`, dimensionless; `count`, number of nodes; `kept`, the first coefficients of the interpolant
+    that are used (left out: all `count`).
     **Returns:** weights; `weights @ values_at_nodes` is the interpolant.
     **Source:** discrete orthogonality of Chebyshev polynomials (Trefethen, Approximation Theory, ch. 3).
     """
@@ -40,4 +43,5 @@ def chebyshev_weights(x: Float[Array, " wavelength"], count: int) -> Float[Array
     rows = [jnp.ones_like(x), x]
     for _ in range(2, count):
         rows.append(2.0 * x * rows[-1] - rows[-2])
-    return jnp.stack(rows[:count], axis=-1) @ jnp.asarray(to_coefficients, x.dtype)
+    kept = count if kept is None else kept
+    return jnp.stack(rows[:kept], axis=-1) @ jnp.asarray(to_coefficients[:kept], x.dtype)

@@ -3,3 +3,4 @@ from .orders import OrdersOfScattering as OrdersOfScattering
 from .single import SingleScattering as SingleScattering
 from .solver import AbstractSolver as AbstractSolver, Fluxes as Fluxes, Geometry as Geometry, Path as Path
 from .uniform import Uniform as Uniform
+from .upsample import upsample as upsample, Upsampled as Upsampled

@@ -1,0 +1,161 @@
+"""Spatial coherence: a solver is asked for few directions, and the smooth sky between them is interpolated."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..atmosphere import Atmosphere
+from ..numerics import chebyshev_nodes, chebyshev_weights, hat_weights
+from ..scene import Directions, haversine, Scene
+from .optical_path import above_horizon, exponential_nodes, slant_column
+from .solver import AbstractSolver, check_on_ground, Geometry, optics
+
+
+# rad, where the grid ends: what a flat solver says of the last degrees is not smooth
+_EDGE = {"flat": np.radians(88.0), "spherical": 0.5 * np.pi}
+# how much the nodes crowd the horizon, and the points of a scatterer's mean sunlight
+_CROWDING, _HEIGHTS = 1.3, 8
+# W m^-2 sr^-1 nm^-1; what is darker counts as black
+_DARK = 1e-30
+
+
+class Upsampled(NamedTuple):
+    """An interpolated sky, `[direction, wavelength]` each.
+
+    `radiance`, W m^-2 sr^-1 nm^-1; `error`, the estimated relative error that interpolation adds to the solver's
+    own, without a gradient.
+    """
+
+    radiance: Float[Array, "direction wavelength"]
+    error: Float[Array, "direction wavelength"]
+
+
+@eqx.filter_jit
+def upsample(
+    solver: AbstractSolver, atmosphere: Atmosphere, scene: Scene, zeniths: int = 20, azimuths: int = 14
+) -> Upsampled:
+    r"""The sky of any solver in many directions, solved in few and interpolated.
+
+    $\ln L = \ln \bar p(\gamma) + \sum_{k,m} a_{km} T_k(x(\theta)) \cos m\phi$, $\theta = \theta_1 \tanh(cx)/\tanh c$
+
+    $\bar p$ is the mean phase function, weighted by the sunlight that each constituent scatters, so that the grid
+    need not resolve the aureole; $\phi$ is the azimuth from the sun. The sky is the same left and right of the
+    sun, and $L(-\theta, \phi) = L(\theta, \pi - \phi)$, so that the polynomials in x span the whole arc from
+    horizon to horizon (k + m even) and nodes crowd its ends, not the zenith.
+
+    `zeniths * azimuths` directions are solved, whatever the number that is served: by default 280, 1/29 of the
+    8192 pixels of Klassen's 128 x 64 picture and 1/234 of those of a 256 x 256 dome. What is served costs the
+    phase functions and the product of a [direction, 280] by a [280, wavelength] matrix. Fewer directions than
+    280 are better asked of the solver itself.
+
+    The error of the interpolant without its highest quarter of coefficients, in zenith and in azimuth, is known
+    at the nodes; its largest value among a node and its neighbours, linear between nodes, is the estimate. It is
+    a bound in 95 % of directions where the grid resolves the sky; where errors reach some per cent, half a bound.
+
+    **Arguments:** `solver`, anything with `radiance` and `geometry`; `zeniths` >= 4 and `azimuths` >= 4, nodes.
+    **Returns:** `Upsampled`. **Valid:** the observer on the ground, a haze whose phase function is all that is
+    sharp in the sky. Flat: view zenith to 88 degrees; nearer to the horizon the last value is held with an error
+    of 1. Directions below the horizon and black skies: 0, with error 0. The error found: at view zenith to 85
+    degrees, sun 20 to 85 and optical depth of haze 0.05 and 0.4, at most 1 %; median below 0.02 %.
+    **Source:** Klassen 1987, sec. 8. He integrates anew where the angle has changed by a threshold and repeats the
+    colour between; here the threshold is replaced by an interpolant, which has no bands, and its error.
+    """
+    check_on_ground(scene, "upsample")
+    if zeniths < 4 or azimuths < 4:
+        raise ValueError(f"`zeniths` and `azimuths` must be >= 4, got {zeniths} and {azimuths}")
+    grid = _Grid(zeniths, azimuths, solver.geometry)
+    places, turns = (jnp.asarray(v, scene.sun_zenith.dtype) for v in grid.nodes())
+    coarse = replace(scene, view=grid.directions(places, turns, scene.sun_azimuth))
+    values = solver.radiance(atmosphere, coarse)
+    dark = values < _DARK
+    smooth = jnp.log(jnp.where(dark, _DARK, values)) - _log_phase(atmosphere, coarse, solver.geometry)
+    # the weights sum to 1: about the largest value, float32 loses nothing and the sky cannot overflow
+    top = jax.lax.stop_gradient(jnp.max(smooth, axis=0))[None]
+    smooth = smooth - top
+
+    zenith = scene.view.zenith
+    place, turn = grid.place(zenith), jnp.cos(scene.view.azimuth - scene.sun_azimuth)
+    exponent = jnp.minimum(grid.weights(place, turn) @ smooth, 1.0)
+    radiance = jnp.exp(exponent + top + _log_phase(atmosphere, scene, solver.geometry))
+    error = grid.hats(place, turn) @ grid.missed(places, turns, jax.lax.stop_gradient(smooth))
+    rounding = 30.0 * jnp.finfo(error.dtype).eps
+    error = jnp.where((zenith > grid.edge + 1e-6)[:, None], 1.0, error + rounding)
+    lit = above_horizon(zenith)[:, None] & ~jnp.all(dark, axis=0)[None]
+    return Upsampled(jnp.where(lit, radiance, 0.0), jnp.where(lit, jax.lax.stop_gradient(error), 0.0))
+
+
+class _Grid(NamedTuple):
+    """Nodes over half of the sky: `place` in (0, 1] is x of the zenith angle, `turn` the cosine of the azimuth."""
+
+    zeniths: int
+    azimuths: int
+    geometry: Geometry
+
+    @property
+    def edge(self) -> float:
+        return float(_EDGE[self.geometry])
+
+    def nodes(self):
+        places, turns = chebyshev_nodes(2 * self.zeniths)[self.zeniths :], chebyshev_nodes(self.azimuths)
+        return (v.ravel() for v in np.meshgrid(places, turns, indexing="ij"))
+
+    def directions(self, place, turn, sun_azimuth):
+        zenith = self.edge * jnp.tanh(_CROWDING * place) / np.tanh(_CROWDING)
+        return Directions(zenith, sun_azimuth + jnp.arccos(turn))
+
+    def place(self, zenith):
+        # past the edge by no more than rounding, so that the gradient on it is whole
+        share = jnp.where(zenith < self.edge + 1e-6, zenith / self.edge, 1.0)
+        return jnp.arctanh(np.tanh(_CROWDING) * share) / _CROWDING
+
+    def weights(self, place, turn, up: int | None = None, around: int | None = None):
+        """Weights `[direction, node]` of the interpolant, with `up` and `around` coefficients kept."""
+        along = chebyshev_weights(place, 2 * self.zeniths, up)
+        across = chebyshev_weights(turn, self.azimuths, around)
+        # nodes beyond the zenith are nodes of this side, seen the other way round
+        here, beyond = along[:, self.zeniths :], along[:, self.zeniths - 1 :: -1]
+        both = here[:, :, None] * across[:, None, :] + beyond[:, :, None] * across[:, None, ::-1]
+        return both.reshape(place.shape[0], -1)
+
+    def hats(self, place, turn):
+        """Weights `[direction, node]` of linear interpolation; all positive."""
+        places, turns = chebyshev_nodes(2 * self.zeniths)[self.zeniths :], chebyshev_nodes(self.azimuths)
+        along = hat_weights(place, jnp.asarray(places, place.dtype))
+        across = hat_weights(turn, jnp.asarray(turns, turn.dtype))
+        return (along[:, :, None] * across[:, None, :]).reshape(place.shape[0], -1)
+
+    def missed(self, places, turns, smooth):
+        """What the interpolant with three quarters of its coefficients misses about each node, `[node, wavelength]`."""
+        up, around = 2 * self.zeniths - self.zeniths // 2, self.azimuths - max(1, self.azimuths // 4)
+        miss = jnp.abs(smooth - self.weights(places, turns, up=up) @ smooth)
+        miss = miss + jnp.abs(smooth - self.weights(places, turns, around=around) @ smooth)
+        shape = self.zeniths, self.azimuths, smooth.shape[1]
+        padded = jnp.pad(miss.reshape(shape), ((1, 1), (1, 1), (0, 0)), "edge")
+        near = [padded[i : i + shape[0], j : j + shape[1]] for i in range(3) for j in range(3)]
+        return jnp.max(jnp.stack(near), axis=0).reshape(smooth.shape)
+
+
+def _log_phase(atmosphere: Atmosphere, scene: Scene, geometry: Geometry) -> Float[Array, "direction wavelength"]:
+    """Log of the phase functions' mean, weighted by the sunlight that each constituent scatters; scale is arbitrary."""
+    constituents, wavelength = atmosphere.constituents, scene.wavelength_nm
+    depths = optics(constituents, wavelength)
+    scatterers = [(c, depth) for c, depth in zip(constituents, depths.scattering, strict=True) if c.phase is not None]
+    total = jnp.zeros((scene.view.zenith.shape[0], wavelength.shape[0]), wavelength.dtype)
+    if not scatterers:
+        return total
+    y, weight = (jnp.asarray(v, wavelength.dtype) for v in exponential_nodes(_HEIGHTS))
+    height = jnp.stack([c.profile.reach() * y for c, _ in scatterers])
+    cosine = jnp.cos(scene.sun_zenith) + jnp.zeros_like(height)
+    column = jnp.stack([slant_column(c.profile, height, cosine, geometry) for c in constituents], axis=-1)
+    depth = column @ depths.extinction
+    sunlight = jnp.exp(jnp.min(depth, axis=(0, 1))[None, None] - depth)
+    half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)
+    for (c, scattering), levels, light in zip(scatterers, height, sunlight, strict=True):
+        share = weight * c.profile.reach() * c.profile.density(levels)
+        total = total + c.phase.value(half, wavelength) * (scattering * (share @ light))[None]
+    return jnp.log(jnp.where(total > 0.0, total, 1.0))
