@@ -6,6 +6,7 @@ that solves and gives radiance `[direction, wavelength]` per unit irradiance: wh
 
 import contextlib
 import importlib.util
+import itertools
 import os
 from collections.abc import Callable
 from typing import NamedTuple
@@ -125,58 +126,80 @@ def prepare_nanodisort(optics: Optics, view: View, streams: int, layers: int = 4
     return solve
 
 
-def prepare_sasktran2(
-    optics: Optics,
-    view: View,
-    source: str,
-    streams: int = 8,
-    geometry: str = "flat",
-    layers: int = 40,
-    threads: int = 2,
-    derivatives: bool = False,
-) -> Callable:
-    """sasktran2 with exact single scattering; `source` "NoSource", "DiscreteOrdinates" or "SuccessiveOrders"."""
+def _sasktran2_parts(view: View, moments: int, source: str, streams: int, geometry: str, layers: int):
+    """Configuration for two threads, geometry and rays; levels closer at the ground, for it is linear between them."""
     import sasktran2 as sk
 
     config = sk.Config()
-    config.num_threads, config.num_streams = threads, streams
-    config.num_singlescatter_moments = moments_for(optics.asymmetry)
+    config.num_threads, config.num_streams, config.num_singlescatter_moments = 2, streams, moments
     config.single_scatter_source = sk.SingleScatterSource.Exact
     config.multiple_scatter_source = getattr(sk.MultipleScatterSource, source)
     config.delta_m_scaling = source == "DiscreteOrdinates"
-    if source == "SuccessiveOrders":
-        # it fails on uneven grids
-        height = np.linspace(0.0, TOP, layers + 1)
-    else:
-        # linear between levels: closer at the ground, as 2 km + height
-        height = 2e3 * np.expm1(np.linspace(0.0, np.log1p(TOP / 2e3), layers + 1))
+    height = 2e3 * np.expm1(np.linspace(0.0, np.log1p(TOP / 2e3), layers + 1))
     sun = min(np.cos(np.radians(view.sun_zenith)), LARGEST_COSINE)
-    radius = FLAT_RADIUS if geometry == "flat" else EARTH_RADIUS
-    model = sk.Geometry1D(sun, 0.0, radius, height)
-    air = sk.Atmosphere(model, config, numwavel=optics.air.size, calculate_derivatives=derivatives)
-    degree = np.arange(config.num_singlescatter_moments)[:, None]
+    model = sk.Geometry1D(sun, 0.0, FLAT_RADIUS if geometry == "flat" else EARTH_RADIUS, height)
+    views = sk.ViewingGeometry()
+    for zenith, azimuth in itertools.product(view.zenith, view.azimuth):
+        ray = sk.SolarAnglesObserverLocation(sun, np.radians(azimuth), np.cos(np.radians(zenith)), 0.0)
+        views.add_ray(ray)
+    return config, model, height, views
+
+
+def prepare_sasktran2(
+    optics: Optics, view: View, source: str, streams: int = 8, geometry: str = "flat", layers: int = 40
+) -> Callable:
+    """sasktran2 with exact single scattering; `source` "NoSource" or "DiscreteOrdinates"."""
+    import sasktran2 as sk
+
+    moments = moments_for(optics.asymmetry)
+    config, model, height, views = _sasktran2_parts(view, moments, source, streams, geometry, layers)
+    air = sk.Atmosphere(model, config, numwavel=optics.air.size, calculate_derivatives=False)
+    degree = np.arange(moments)[:, None]
     rayleigh = np.where(degree == 0, 1.0, np.where(degree == 2, 5.0 * optics.second, 0.0)) + 0.0 * optics.air
     lobe = (2 * degree + 1) * optics.asymmetry[None] ** degree
-    for name, scale, depth, albedo, moments in (
+    for name, scale, depth, albedo, each in (
         ("rayleigh", SCALE_HEIGHTS[0], optics.air, np.ones_like(optics.air), rayleigh),
         ("haze", SCALE_HEIGHTS[1], optics.haze, optics.haze_albedo, lobe),
     ):
         shape = np.exp(-height / scale)
         extinction = (shape / np.trapezoid(shape, height))[:, None] * depth[None]
-        every = np.tile(moments[:, None], (1, height.size, 1))
+        every = np.tile(each[:, None], (1, height.size, 1))
         air[name] = sk.constituent.Manual(extinction, np.tile(albedo, (height.size, 1)), every)
     air["ground"] = sk.constituent.LambertianSurface(optics.ground)
-    views = sk.ViewingGeometry()
-    for zenith in view.zenith:
-        for azimuth in view.azimuth:
-            views.add_ray(
-                sk.SolarAnglesObserverLocation(sun, np.radians(azimuth), min(np.cos(np.radians(zenith)), 1.0), 0.0)
-            )
+    engine = sk.Engine(config, model, views)
+    return lambda: _sasktran2_radiance(engine.calculate_radiance(air))
+
+
+def _sasktran2_radiance(result) -> np.ndarray:
+    return result["radiance"].transpose("los", "wavelength", "stokes").to_numpy()[:, :, 0]
+
+
+def prepare_sasktran2_jacobian(
+    optics: Optics, view: View, wavelength_nm: np.ndarray, derivatives: bool, streams: int = 8, layers: int = 40
+) -> Callable:
+    """About the same sky of its own constituents, which alone have derivatives: by pressure and temperature of the air
+    and extinction of the haze at every level and by the ground's albedo. Flat."""
+    import sasktran2 as sk
+
+    moments = moments_for(optics.asymmetry)
+    config, model, height, views = _sasktran2_parts(view, moments, "DiscreteOrdinates", streams, "flat", layers)
+    air = sk.Atmosphere(model, config, wavelengths_nm=wavelength_nm, calculate_derivatives=derivatives)
+    sk.climatology.us76.add_us76_standard_atmosphere(air)
+    air["rayleigh"] = sk.constituent.Rayleigh()
+    lobe = sk.optical.HenyeyGreenstein.from_parameters(
+        wavelength_nm, optics.haze, optics.haze_albedo, optics.asymmetry, moments
+    )
+    shape = np.exp(-height / SCALE_HEIGHTS[1])
+    at = wavelength_nm.size // 2
+    profile = shape / np.trapezoid(shape, height) * optics.haze[at]
+    air["haze"] = sk.constituent.ExtinctionScatterer(lobe, height, profile, wavelength_nm[at])
+    air["ground"] = sk.constituent.LambertianSurface(float(optics.ground.mean()))
+    # an engine that has met an atmosphere without derivatives breaks on one with them
     engine = sk.Engine(config, model, views)
 
     def solve():
         result = engine.calculate_radiance(air)
-        return result["radiance"].transpose("los", "wavelength", "stokes").to_numpy()[:, :, 0]
+        return _sasktran2_radiance(result), *(result[name].to_numpy() for name in result if name.startswith("wf_"))
 
     return solve
 
@@ -212,7 +235,7 @@ def prepare_pythonic_disort(optics: Optics, view: View, streams: int, layers: in
 RIVALS = {
     ("nanodisort", "16 streams"): ("nanodisort", ("flat",), lambda o, v, g: prepare_nanodisort(o, v, 16)),
     ("nanodisort", "32 streams"): ("nanodisort", ("flat",), lambda o, v, g: prepare_nanodisort(o, v, 32)),
-    ("sasktran2", "single"): (
+    ("sasktran2", "single scattering"): (
         "sasktran2", ("flat", "spherical"), lambda o, v, g: prepare_sasktran2(o, v, "NoSource", 8, g)
     ),
     ("sasktran2", "8 streams"): (
