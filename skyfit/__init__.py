@@ -27,5 +27,6 @@ from .transport import (
     Fluxes as Fluxes,
     OrdersOfScattering as OrdersOfScattering,
     Path as Path,
+    Shells as Shells,
     SingleScattering as SingleScattering,
 )

@@ -25,7 +25,7 @@ from skyfit.atmosphere import (
     Ozone,
     Rayleigh,
 )
-from skyfit.transport import OrdersOfScattering, SingleScattering
+from skyfit.transport import OrdersOfScattering, Shells, SingleScattering
 
 
 # --- the multiple part at few wavelengths
@@ -64,6 +64,8 @@ def test_few_spectral_nodes_never_run_away(haze, sun):
     [
         ("single flat", True),
         ("single spherical", True),
+        ("shells flat", True),
+        ("shells spherical", True),
         ("orders spherical", True),
         slow("orders flat", True),
     ],
@@ -95,17 +97,27 @@ def test_gradients_are_central_differences_for_every_parameter(x64, name, revers
             assert float(backward[i]) == pytest.approx(expected, abs=1e-9 * largest * weight.size), leaf
     # no parameter is lost on the way, but for the ground in single scattering
     without = [leaf for i, leaf in enumerate(names_of(start)) if float(jnp.max(jnp.abs(forward[i]))) < 1e-7 * largest]
-    assert all("ground" in leaf for leaf in without) and (not without or name.startswith("single")), without
+    assert all("ground" in leaf for leaf in without) and (not without or name.startswith(("single", "shells"))), without
 
 
-@pytest.mark.parametrize("name", ["single flat", "single spherical", slow("orders flat"), slow("orders spherical")])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "single flat",
+        "single spherical",
+        "shells flat",
+        "shells spherical",
+        slow("orders flat"),
+        slow("orders spherical"),
+    ],
+)
 def test_jit_eager_vmap_and_a_loop_agree(name):
     solver = SOLVERS[name]
-    tiny = (
-        SingleScattering(3, solver.geometry)
-        if name.startswith("single")
-        else OrdersOfScattering(2, 2, 2, 2, 3, 2, solver.geometry)
-    )
+    tiny = {
+        "single": SingleScattering(3, solver.geometry),
+        "shells": Shells(3, solver.geometry),
+        "orders": OrdersOfScattering(2, 2, 2, 2, 3, 2, solver.geometry),
+    }[name.split()[0]]
     sky = sky_of(tiny, views([20.0, 70.0], [10.0, 150.0]), np.array([450.0, 550.0, 650.0]))
     atmospheres = [hazy(haze=0.1), hazy(haze=0.4, ground=0.5)]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *atmospheres)
@@ -190,6 +202,6 @@ def test_a_change_of_value_compiles_nothing(name):
 
 
 def test_a_solver_says_which_geometries_there_are():
-    for make in (SingleScattering, OrdersOfScattering):
+    for make in (SingleScattering, OrdersOfScattering, Shells):
         with pytest.raises((ValueError, TypeError), match="geometry"):
             make(geometry="round")

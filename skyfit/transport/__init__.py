@@ -1,4 +1,5 @@
 from .double import DoubleScattering as DoubleScattering
 from .orders import OrdersOfScattering as OrdersOfScattering
+from .shells import Shells as Shells
 from .single import SingleScattering as SingleScattering
 from .solver import AbstractSolver as AbstractSolver, Fluxes as Fluxes, Geometry as Geometry, Path as Path
