@@ -71,7 +71,10 @@ def test_few_spectral_nodes_never_run_away(haze, sun):
     ],
 )
 def test_gradients_are_central_differences_for_every_parameter(x64, name, reverse):
-    """Away from the horizon: both modes, every leaf of the atmosphere and the sun's zenith angle."""
+    """Away from the horizon: both modes, every leaf of the atmosphere and the sun's zenith angle.
+
+    Flat shells let ozone filter the sun at the ground: where it lies does not matter there.
+    """
     sky = sky_of(SOLVERS[name], skyfit.Directions(np.radians([5.0, 50.0, 80.0]), np.array([0.5, 1.5, 3.0])))
     start = hazy(), jnp.asarray(1.0)
     leaves, tree = jax.tree.flatten(start)
@@ -97,6 +100,8 @@ def test_gradients_are_central_differences_for_every_parameter(x64, name, revers
             assert float(backward[i]) == pytest.approx(expected, abs=1e-9 * largest * weight.size), leaf
     # no parameter is lost on the way, but for the ground in single scattering
     without = [leaf for i, leaf in enumerate(names_of(start)) if float(jnp.max(jnp.abs(forward[i]))) < 1e-7 * largest]
+    if name == "shells flat":
+        without = [leaf for leaf in without if "ozone.profile" not in leaf]
     assert all("ground" in leaf for leaf in without) and (not without or name.startswith(("single", "shells"))), without
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractConstituent, Atmosphere
-from ..numerics import exp_mean, gauss_legendre
+from ..numerics import exp_mean, gauss_legendre, safe_sqrt
 from ..scene import haversine, Scene
 from .optical_path import above_horizon, EARTH_RADIUS, height_gain, length_scale, MIN_COSINE, slant_column
 from .single import _dome, scatterer_indices
@@ -96,24 +96,38 @@ def shell_integral(air: Layers, scene: Scene, nodes: int) -> Float[Array, "direc
     **Arguments:** `nodes` for each piece.
     **Returns:** `[direction, constituent, wavelength]`, without the sun's absorbers.
     **Source:** Klassen 1987, eq. 23-26. His eq. 27 and 28 take $l(r)$ linear in $r$ (and print it with a wrong
-    dimension), 16 % off at 2 degrees: here $r$ follows from $l$. $d_1$ (eq. 24) with $r\cos\phi_r = R_E\cos\phi$.
+    dimension), 16 % off at 2 degrees: here $r$ follows from $l$. His eq. 24 and 25 have the sun's elevation of the
+    ground at every sphere: here it is the local one, $r \sin\phi_r = R_E \sin\phi + l \cos\psi$, which keeps
+    $r \cos\phi_r = R_E \cos\phi$ on the way to the sun and $\phi_r = \phi$ straight up.
     """
     cosine = jnp.maximum(jnp.cos(scene.view.zenith), 0.0)
-    sun = jnp.maximum(jnp.cos(scene.sun_zenith), 0.0)
+    half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)
     x, weight = (jnp.asarray(v, cosine.dtype) for v in gauss_legendre(nodes))
     edge = length_scale(EARTH_RADIUS, cosine[:, None], air.level[None])
     start = jnp.concatenate([jnp.zeros_like(edge[:, :1]), edge[:, :-1]], axis=1)
     step = edge - start
     distance = start[..., None] + step[..., None] * x[None, None]
     height = height_gain(EARTH_RADIUS, cosine[:, None, None], distance)
-    along_sun = length_scale(EARTH_RADIUS, sun, height)
-    whole_view = length_scale(EARTH_RADIUS, cosine[:, None], air.top[None])[:, None, None]
-    whole_sun = length_scale(EARTH_RADIUS, sun, air.top)[None, None, None]
-    inside = distance[..., None] + whole_sun - along_sun[..., None]
-    column = jnp.where(air.present[None, :, None], inside, whole_view)
+    sunward = EARTH_RADIUS * jnp.maximum(jnp.cos(scene.sun_zenith), 0.0) + distance * (1.0 - 2.0 * half)[:, None, None]
+    inside = air.present[None, :, None]
+    whole = length_scale(EARTH_RADIUS, cosine[:, None], air.top[None])[:, None, None]
+    seen = jnp.where(inside, distance[..., None], whole)
+    column = seen + _toward_sun(height[..., None], sunward[..., None], air.top[None, None, None], inside)
     transmittance = jnp.exp(-(column @ air.extinction))
     piece = jnp.einsum("dl,n,dlnw->dlw", step, weight, transmittance)
     return jnp.einsum("lc,dlw->dcw", air.present.astype(step.dtype), piece)
+
+
+def _toward_sun(height, sunward, top, inside):
+    """Distance within a layer toward the sun, m; `sunward` the radius times the sine of the local elevation."""
+    rise = (top - height) * (2.0 * EARTH_RADIUS + top + height)
+    # 1 m^2 is 0.1 micrometres of height
+    guarded = jnp.where(inside, jnp.maximum(rise, 1.0), 1.0)
+    root = jnp.sqrt(sunward**2 + guarded)
+    out = root + jnp.abs(sunward)
+    # a ray from above that first descends may dip into the layer
+    dip = jnp.where(sunward < 0.0, 2.0 * safe_sqrt(sunward**2 + rise), 0.0)
+    return jnp.where(inside, jnp.where(sunward >= 0.0, guarded / out, out), dip)
 
 
 def layer_path(air: Layers, scene: Scene, distance: Float[Array, " direction"]) -> tuple[Array, Array]:
