@@ -4,6 +4,7 @@ from .atmosphere import (
     Aerosol as Aerosol,
     Atmosphere as Atmosphere,
     CornetteShanks as CornetteShanks,
+    Droplets as Droplets,
     Exponential as Exponential,
     Ground as Ground,
     HenyeyGreenstein as HenyeyGreenstein,
