@@ -20,7 +20,7 @@ from skyfit.atmosphere import (
     RayleighPhase,
 )
 from skyfit.fit import Fit, Fitted, invert, predict, start_model, with_values
-from skyfit.transport import DoubleScattering, OrdersOfScattering, SingleScattering, Uniform
+from skyfit.transport import DoubleScattering, OrdersOfScattering, Shells, SingleScattering, Uniform
 
 
 EARTH_RADIUS = 6371e3
@@ -29,7 +29,8 @@ ONE = np.array([550.0])
 SMALL = {geometry: OrdersOfScattering(3, 3, 8, 4, 8, 3, geometry) for geometry in ("flat", "spherical")}
 SINGLE = {geometry: SingleScattering(12, geometry) for geometry in ("flat", "spherical")}
 DOUBLE = {geometry: DoubleScattering(3, 3, 8, 8, 3, geometry) for geometry in ("flat", "spherical")}
-KINDS = {"single": SINGLE, "double": DOUBLE, "orders": SMALL, "uniform": {"flat": Uniform()}}
+SHELLS = {geometry: Shells(12, geometry) for geometry in ("flat", "spherical")}
+KINDS = {"single": SINGLE, "double": DOUBLE, "orders": SMALL, "shells": SHELLS, "uniform": {"flat": Uniform()}}
 SOLVERS = {f"{name} {geometry}": kind[geometry] for name, kind in KINDS.items() for geometry in kind}
 # compilation is most of the time of these tests: programs that run once are not worth optimising
 HASTE = {"xla_backend_optimization_level": 0}

@@ -25,7 +25,7 @@ from skyfit.atmosphere import (
     Ozone,
     Rayleigh,
 )
-from skyfit.transport import DoubleScattering, OrdersOfScattering, SingleScattering, Uniform
+from skyfit.transport import DoubleScattering, OrdersOfScattering, Shells, SingleScattering, Uniform
 
 
 # --- the multiple part at few wavelengths
@@ -64,6 +64,8 @@ def test_few_spectral_nodes_never_run_away(haze, sun):
     [
         ("single flat", True),
         ("single spherical", True),
+        ("shells flat", True),
+        ("shells spherical", True),
         ("orders spherical", True),
         ("uniform flat", True),
         slow("double spherical", True),
@@ -100,7 +102,8 @@ def test_gradients_are_central_differences_for_every_parameter(x64, name, revers
             expected = float(jnp.sum(weight * forward[i]))
             assert float(backward[i]) == pytest.approx(expected, abs=1e-9 * largest * weight.size), leaf
     without = [leaf for i, leaf in enumerate(names_of(start)) if float(jnp.max(jnp.abs(forward[i]))) < 1e-7 * largest]
-    blind = {"single": ["ground"], "double": ["ground"], "uniform": ["ground", "ozone.profile"], "orders": []}
+    filtered = ["ground", "ozone.profile"]
+    blind = {"single": ["ground"], "double": ["ground"], "orders": [], "shells": filtered, "uniform": filtered}
     assert all(any(part in leaf for part in blind[name.split()[0]]) for leaf in without), without
 
 
@@ -111,6 +114,8 @@ def test_gradients_are_central_differences_for_every_parameter(x64, name, revers
         "single spherical",
         "uniform flat",
         slow("double spherical"),
+        "shells flat",
+        "shells spherical",
         slow("orders flat"),
         slow("orders spherical"),
     ],
@@ -122,6 +127,7 @@ def test_jit_eager_vmap_and_a_loop_agree(name):
         "double": DoubleScattering(2, 2, 2, 3, 2, solver.geometry),
         "orders": OrdersOfScattering(2, 2, 2, 2, 3, 2, solver.geometry),
         "uniform": Uniform(),
+        "shells": Shells(3, solver.geometry),
     }[name.split()[0]]
     sky = sky_of(tiny, views([20.0, 70.0], [10.0, 150.0]), np.array([450.0, 550.0, 650.0]))
     atmospheres = [hazy(haze=0.1), hazy(haze=0.4, ground=0.5)]
@@ -205,6 +211,6 @@ def test_a_change_of_value_compiles_nothing(name):
 
 
 def test_a_solver_says_which_geometries_there_are():
-    for make in (SingleScattering, DoubleScattering, OrdersOfScattering, Uniform):
+    for make in (SingleScattering, DoubleScattering, OrdersOfScattering, Shells, Uniform):
         with pytest.raises((ValueError, TypeError), match="geometry"):
             make(geometry="round")

@@ -1,5 +1,6 @@
 from .double import DoubleScattering as DoubleScattering
 from .orders import OrdersOfScattering as OrdersOfScattering
+from .shells import Shells as Shells
 from .single import SingleScattering as SingleScattering
 from .solver import AbstractSolver as AbstractSolver, Fluxes as Fluxes, Geometry as Geometry, Path as Path
 from .uniform import Uniform as Uniform
