@@ -43,7 +43,7 @@ from .fit import (
     with_values,
 )
 from .scene import Directions, hemisphere, Scene, Sky
-from .transport import AbstractSolver, DoubleScattering, OrdersOfScattering, SingleScattering, Uniform
+from .transport import AbstractSolver, DoubleScattering, OrdersOfScattering, Shells, SingleScattering, Uniform
 
 
 app = typer.Typer(
@@ -60,6 +60,7 @@ class SolverName(StrEnum):
     orders = "orders"
     double = "double"
     single = "single"
+    shells = "shells"
     uniform = "uniform"
 
 
@@ -98,6 +99,7 @@ def _solver(name: SolverName, preset: PresetName, geometry: GeometryName) -> Abs
         SolverName.orders: OrdersOfScattering,
         SolverName.double: DoubleScattering,
         SolverName.single: SingleScattering,
+        SolverName.shells: Shells,
         SolverName.uniform: Uniform,
     }
     return getattr(kinds[name], preset.value)(geometry.value)

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from ..atmosphere import AbstractConstituent, Atmosphere
 from ..numerics import associated_legendre, exp_mean, gauss_legendre, phi1, phi_functions
 from ..scene import Scene
+from .diffusion import diffusion
 from .optical_path import above_horizon, layer_airmass, slant_column, stream_paths, sunlit
 from .single import scatterer_indices
 from .solver import Geometry, optics
@@ -18,8 +19,6 @@ from .solver import Geometry, optics
 # m, where the layers end
 TOP_OF_ATMOSPHERE = 100e3
 _HEIGHT_TABLE = 512
-# optical depth between layers below which diffusion takes them for one: it guides, it does not decide
-_THIN = 1e-4
 
 
 class Resolution(NamedTuple):
@@ -168,22 +167,20 @@ def layered(
 
 
 def sloped(source: Float[Array, "layer ..."], depth: Float[Array, "layer ..."]) -> Float[Array, "layer ..."]:
-    """Difference of a source between the lower and the upper end of each layer, by its neighbours' means.
+    """Difference of a source between the last and the first end of each layer, by its neighbours' means.
 
-    `depth` has the rank of `source`.
-
-    Flattened in thick layers: there a straight line through means would turn negative.
+    `depth` has the rank of `source`. Flattened in thick layers: there a straight line through means would turn
+    negative.
     """
     near = 0.5 * (depth[1:] + depth[:-1])
+    one_sided = np.arange(depth.shape[0] - 1) == 0
+    half = jnp.expand_dims(jnp.asarray(np.where(one_sided, 1.0, 0.5), depth.dtype), tuple(range(1, depth.ndim)))
     near = jnp.where(near > 0.0, near, 1.0)
-    first = np.arange(depth.shape[0] - 1) == 0
-    half = jnp.expand_dims(jnp.asarray(np.where(first, 1.0, 0.5), depth.dtype), tuple(range(1, depth.ndim)))
     edge = jnp.zeros_like(depth[:1])
     damped = depth / (1.0 + 0.1 * depth**2)
-    above = damped * jnp.concatenate([edge, half[::-1] / near])
-    below = damped * jnp.concatenate([half / near, edge])
-    step, none = jnp.diff(source, axis=0), jnp.zeros_like(source[:1])
-    return above * jnp.concatenate([none, step]) + below * jnp.concatenate([step, none])
+    before, after = jnp.concatenate([edge, half[::-1] / near]), jnp.concatenate([half / near, edge])
+    padded = jnp.concatenate([source[:1], source, source[-1:]])
+    return damped * (before * (source - padded[:-2]) + after * (padded[2:] - source))
 
 
 def solve(layers: Layers, resolution: Resolution, modes: int) -> Field:
@@ -255,18 +252,20 @@ def solve(layers: Layers, resolution: Resolution, modes: int) -> Field:
         *run(jnp.zeros_like(met[0]), _pair_as_met(slant * mean, phi1(beam)[None] - mean), met, None),
         jnp.maximum(layers.sun_cosine, 0.0) * layers.beam[-1],
     )
-    thickness = layers.depth[:, None, None]
-    diffuse = _diffusion(layers) if resolution.complete else None
+    thickness = _as_met(jnp.stack([layers.depth, layers.depth]))[:, :, None, None]
+    diffuse = None
+    if resolution.complete:
+        diffuse = diffusion(layers.depth, layers.moments[0], layers.moments[1] / 3.0, layers.ground_albedo)
 
     def order(carry, _):
         left, total = carry
         if diffuse is None:
             source = on_streams(phase * left)
         else:
-            even, odd, *_ = diffuse(left)
+            even, odd, *_ = diffuse(left[0, 0, 0], left[1, 0, 0])
             source = on_streams(phase * _added(left, even, odd))
-        step = jnp.stack([sloped(source[0], thickness), -sloped(source[1], thickness)])
-        met = run(jnp.zeros_like(source[:, 0]), emits, _as_met(source), _as_met(step))
+        source = _as_met(source)
+        met = run(jnp.zeros_like(source[0]), emits, source, sloped(source, thickness))
         scattered = sweep(*met, jnp.zeros_like(layers.beam[-1]))
         left = scattered[0] if diffuse is None else _added(scattered[0], -even, -odd)
         return (left, jax.tree.map(jnp.add, total, scattered)), None
@@ -274,7 +273,7 @@ def solve(layers: Layers, resolution: Resolution, modes: int) -> Field:
     (left, total), _ = jax.lax.scan(order, (total[0], total), None, length=resolution.orders - 1)
     if diffuse is None:
         return Field(*total)
-    even, odd, more_flux, more_top = diffuse(left)
+    even, odd, more_flux, more_top = diffuse(left[0, 0, 0], left[1, 0, 0])
     return Field(_added(total[0], even, odd), total[1] + more_flux, total[2] + more_top)
 
 
@@ -295,56 +294,6 @@ def _pair_as_met(one, other):
 def _from_top(array):
     """The inverse of `_as_met`."""
     return jnp.stack([array[:, 0], array[::-1, 1]])
-
-
-def _diffusion(layers: Layers):
-    r"""All that follows the scattering of some light, as diffusion has it.
-
-    With $M_0$, $M_1$ the mean radiance and flux / 4 pi: $dM_1/d\tau = -(1-\omega) M_0 + \omega m_0$ and
-    $\tfrac13 dM_0/d\tau = -(1-\omega g) M_1 + \omega g\, m_1$, means over layers, no light from above, a
-    Lambertian ground. **Returns:** a function of the moments of what is scattered that gives additions to the
-    moments (0, 0) and (1, 0) and to the flux onto the ground and out of the top.
-    """
-    depth, reflectance = layers.depth, layers.ground_albedo[None]
-    albedo, forward = layers.moments[0], layers.moments[1] / 3.0
-    half = 0.5 * depth * (1.0 - forward)
-    between = jnp.maximum(half[1:] + half[:-1], _THIN)
-
-    def mixing(width):
-        # between thick layers the sweeps carry more than diffusion does; the sums are unstable where it carries less
-        return 0.25 * width**2 / (1.0 + width**2)
-
-    inner = 1.0 / (3.0 * between) + mixing(between)
-    top = 1.0 / (2.0 + 3.0 * half[:1]) + mixing(2.0 * half[:1])
-    onto_ground = 0.5 / (1.0 + reflectance + 1.5 * half[-1:] * (1.0 - reflectance)) + mixing(2.0 * half[-1:])
-    bottom = (1.0 - reflectance) * onto_ground
-
-    def flux(even, extra):
-        """M_1 at the levels."""
-        within = inner * (even[:-1] - even[1:]) + (extra[:-1] + extra[1:]) / between
-        return jnp.concatenate([top * (3.0 * extra[:1] - even[:1]), within, bottom * (even[-1:] + 3.0 * extra[-1:])])
-
-    above, below = jnp.concatenate([top, inner]), jnp.concatenate([inner, bottom])
-    diagonal = depth * (1.0 - albedo) + above + below
-    size = depth.shape[0]
-    upper, lower = np.eye(size, k=1), np.eye(size, k=-1)
-    matrix = (
-        jnp.eye(size, dtype=depth.dtype)[None] * diagonal.T[:, None]
-        - jnp.asarray(upper, depth.dtype)[None] * below.T[:, :, None]
-        - jnp.asarray(lower, depth.dtype)[None] * above.T[:, :, None]
-    )
-    inverse = jnp.linalg.inv(matrix)
-
-    def diffuse(moments):
-        mean, stream = moments[0, 0, 0], moments[1, 0, 0]
-        extra = 0.5 * depth * forward * stream
-        source = depth * albedo * mean - jnp.diff(flux(jnp.zeros_like(mean), extra), axis=0)
-        even = jnp.einsum("wjk,kw->jw", inverse, source)
-        level = flux(even, extra)
-        ground_flux = 4.0 * np.pi * onto_ground[0] * (even[-1] + 3.0 * extra[-1])
-        return even, 0.5 * (level[1:] + level[:-1]), ground_flux, -4.0 * np.pi * level[0]
-
-    return diffuse
 
 
 def diffuse_field(

@@ -1,0 +1,69 @@
+"""Diffusion of light through layers: a quick, conservative guess at all orders of scattering to come."""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+
+# optical depth between layers below which they count as one: diffusion guides the sweeps, it does not decide
+_THIN = 1e-4
+
+
+def diffusion(
+    depth: Float[Array, "layer wavelength"],
+    albedo: Float[Array, "layer wavelength"],
+    forward: Float[Array, "layer wavelength"],
+    ground_albedo: Float[Array, " wavelength"],
+) -> Callable:
+    r"""All that follows the scattering of some light, as diffusion has it.
+
+    With $M_0$, $M_1$ the mean radiance and flux / 4 pi: $dM_1/d\tau = -(1-\omega) M_0 + \omega m_0$ and
+    $\tfrac13 dM_0/d\tau = -(1-\omega g) M_1 + \omega g\, m_1$, means over layers, no light from above, a
+    Lambertian ground.
+
+    **Arguments:** of each layer from the top: optical depth, single-scattering albedo $\omega$, and that times the
+    asymmetry parameter, $\omega g$; the ground's albedo. **Returns:** a function of the mean radiance and the flux
+    / 4 pi that are scattered, `[layer, wavelength]` each, which gives those of all the light that follows and
+    its flux onto the ground and out of the top, `[wavelength]`. No light is lost: what is not absorbed leaves.
+    **Source:** Alcouffe 1977, Nucl. Sci. Eng. 64, 344; boundaries of Marshak.
+    """
+    reflectance = ground_albedo[None]
+    half = 0.5 * depth * (1.0 - forward)
+    between = jnp.maximum(half[1:] + half[:-1], _THIN)
+
+    def mixing(width):
+        # between thick layers the sweeps carry more than diffusion does; the sums are unstable where it carries less
+        return 0.25 * width**2 / (1.0 + width**2)
+
+    inner = 1.0 / (3.0 * between) + mixing(between)
+    top = 1.0 / (2.0 + 3.0 * half[:1]) + mixing(2.0 * half[:1])
+    onto_ground = 0.5 / (1.0 + reflectance + 1.5 * half[-1:] * (1.0 - reflectance)) + mixing(2.0 * half[-1:])
+    bottom = (1.0 - reflectance) * onto_ground
+
+    def flux(even, extra):
+        """M_1 at the levels."""
+        within = inner * (even[:-1] - even[1:]) + (extra[:-1] + extra[1:]) / between
+        return jnp.concatenate([top * (3.0 * extra[:1] - even[:1]), within, bottom * (even[-1:] + 3.0 * extra[-1:])])
+
+    above, below = jnp.concatenate([top, inner]), jnp.concatenate([inner, bottom])
+    diagonal = depth * (1.0 - albedo) + above + below
+    size = depth.shape[0]
+    upper, lower = np.eye(size, k=1), np.eye(size, k=-1)
+    matrix = (
+        jnp.eye(size, dtype=depth.dtype)[None] * diagonal.T[:, None]
+        - jnp.asarray(upper, depth.dtype)[None] * below.T[:, :, None]
+        - jnp.asarray(lower, depth.dtype)[None] * above.T[:, :, None]
+    )
+    inverse = jnp.linalg.inv(matrix)
+
+    def diffuse(mean, stream):
+        extra = 0.5 * depth * forward * stream
+        source = depth * albedo * mean - jnp.diff(flux(jnp.zeros_like(mean), extra), axis=0)
+        even = jnp.einsum("wjk,kw->jw", inverse, source)
+        level = flux(even, extra)
+        ground_flux = 4.0 * np.pi * onto_ground[0] * (even[-1] + 3.0 * extra[-1])
+        return even, 0.5 * (level[1:] + level[:-1]), ground_flux, -4.0 * np.pi * level[0]
+
+    return diffuse
