@@ -122,12 +122,13 @@ class SingleScattering(AbstractSolver):
 
         **Arguments:** `distance`, >= 0, infinite for the sky. **Valid:** a view that meets the ground ends there.
         """
-        constituents, count = atmosphere.constituents, scene.wavelength_nm.shape[0]
+        constituents = atmosphere.constituents
         extinction = optics(constituents, scene.wavelength_nm).extinction
         views = views_of(scene, self.geometry, distance)
-        depth = jnp.zeros((distance.shape[0], count))
+        ends = end_points(views, self.geometry)
+        depth = jnp.zeros((distance.shape[0], scene.wavelength_nm.shape[0]), extinction.dtype)
         for c, vertical in zip(constituents, extinction, strict=True):
-            depth = depth + eye_column(c.profile, views, end_points(views, self.geometry), self.geometry) * vertical
+            depth = depth + eye_column(c.profile, views, ends, self.geometry) * vertical[None]
         inscatter = jnp.zeros_like(depth)
         if scatterer_indices(constituents):
             once = _scattered_once(constituents, scene, extinction, self.nodes, self.geometry, views)
