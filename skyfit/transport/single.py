@@ -115,7 +115,9 @@ class SingleScattering(AbstractSolver):
     spherical shells for view and sun, the Earth's shadow as an end of the parts). The observer may stand
     anywhere from the ground to space; a view down ends at the ground and holds the light scattered above it.
     No light of the ground, no second scattering.
-    **Valid:** any sun; flat: above the horizon (below it the sky is black).
+    **Valid:** any sun; flat: above the horizon (below it the sky is black). `normal` is within 1e-5 of the integral at
+    optical depths to 0.5, 2e-4 at 1 and 1e-3 at 5, twilight included; jumps of `Layered` scatterers cost about 1 %.
+    What lies above 100 km scatters nothing in spherical geometry: 4e-6 of air's column.
     **Source:** Nishita et al. 1993; Bruneton & Neyret 2008, sec. 3; ERRATA of the papers on sun distances.
     """
 
@@ -127,17 +129,17 @@ class SingleScattering(AbstractSolver):
 
     @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "SingleScattering":
-        """12 nodes."""
+        """12 nodes: within 2e-3 of the integral at optical depths to 0.5."""
         return cls(nodes=12, geometry=geometry)
 
     @classmethod
     def normal(cls, geometry: Geometry = "spherical") -> "SingleScattering":
-        """24 nodes."""
+        """24 nodes: the quadrature is not what limits it."""
         return cls(nodes=24, geometry=geometry)
 
     @classmethod
     def fine(cls, geometry: Geometry = "spherical") -> "SingleScattering":
-        """64 nodes."""
+        """64 nodes, for thick haze."""
         return cls(nodes=64, geometry=geometry)
 
     @eqx.filter_jit
@@ -151,12 +153,13 @@ class SingleScattering(AbstractSolver):
 
         **Arguments:** `distance`, >= 0, infinite for the sky. **Valid:** a view that meets the ground ends there.
         """
-        constituents, count = atmosphere.constituents, scene.wavelength_nm.shape[0]
+        constituents = atmosphere.constituents
         extinction = optics(constituents, scene.wavelength_nm).extinction
         views = views_of(scene, self.geometry, distance)
-        depth = jnp.zeros((distance.shape[0], count))
+        ends = end_points(views, self.geometry)
+        depth = jnp.zeros((distance.shape[0], scene.wavelength_nm.shape[0]), extinction.dtype)
         for c, vertical in zip(constituents, extinction, strict=True):
-            depth = depth + eye_column(c.profile, views, end_points(views, self.geometry), self.geometry) * vertical
+            depth = depth + eye_column(c.profile, views, ends, self.geometry) * vertical[None]
         inscatter = jnp.zeros_like(depth)
         if scatterer_indices(constituents):
             once = _scattered_once(constituents, scene, extinction, self.nodes, self.geometry, views)
