@@ -37,9 +37,9 @@ def counted(solver: OrdersOfScattering, atmosphere: Atmosphere, directions: int,
     single scattering: exponents $\\tau = $ column $\\cdot$ extinction, C D Q W; their exponentials, D Q W; the sum over
     nodes, S D Q W; phase functions times it, S D W; densities and columns, 3 C D Q exponentials, of which the two
     columns cost 16 each on curved paths.
-    sweeps: moments to streams and back, 2 P N L V each sweep after the first's one and a half; the phase function,
-    2 N L M V for the two directions' recurrences and 6 for source and mean; turning on curved paths 2 L N N M V;
-    diffusion, L L V a sweep and the inverse, L^3 V.
+    sweeps: moments to streams and back, 2 P N L V a sweep; in each of two directions 2 N L M V for the recurrence and
+    6 N L M V for the emitted and the mean light; turning on curved paths, 2 L N N M V; diffusion, L L V a sweep and
+    once the inverse that is dense as it is coded, L^3 V; attenuation and source functions, 4 N L V exponentials.
     view integral: moments into views, P D L V; attenuation and source functions, 2 D L V exponentials and 4
     multiply-adds; to all wavelengths, V W D, with D W exponentials and D V logarithms.
     """
