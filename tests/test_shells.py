@@ -136,6 +136,16 @@ def test_ozone_filters_the_suns_beam_only(x64):
     assert 0.9 < float(beam[1]) < 0.96
 
 
+@pytest.mark.parametrize("solver, deepest", [(Shells.draft(), 40.0), (Shells.normal(), 150.0), (Shells.fine(), 300.0)])
+def test_presets_hold_to_their_slant_depths_within_a_per_cent(x64, solver, deepest):
+    """Haze alone at 5 degrees of elevation; many nodes are the reference, the integral's test is theirs."""
+    scene = unit_scene(20.0, views([85.0], [40.0]))
+    for depth in (deepest, 0.3 * deepest):
+        haze = haze_over_air(0.0, depth * np.cos(np.radians(85.0)))
+        best = float(Shells(400).radiance(haze, scene)[0, 0])
+        assert float(solver.radiance(haze, scene)[0, 0]) == pytest.approx(best, rel=0.01)
+
+
 # --- his constant blue
 
 
@@ -358,6 +368,22 @@ def test_paths_at_the_ends_of_the_range_have_finite_values_and_gradients(dtype):
                         v = jnp.array([depth, 60.0, 0.85, sun, eye], float)
                         value, slope = both(v, jnp.full(6, distance), False)
                         assert np.isfinite(value) and np.all(np.isfinite(slope)), (depth, sun, eye, distance)
+
+
+@pytest.mark.parametrize("low_sun", [False, True])
+def test_a_path_of_float32_is_near_float64(low_sun):
+    def path():
+        view = skyfit.Directions.from_degrees([30.0, 89.9, 90.0, 90.1, 150.0], [0.0, 30.0, 90.0, 150.0, 0.0])
+        solver, both = Shells(geometry="flat", low_sun=low_sun), []
+        for eye in (2.0, 400.0):
+            scene = skyfit.Scene.from_degrees(60.0, view, ONE, irradiance="unit", height=eye)
+            both.append(solver.path(foggy(), scene, jnp.full(5, 120.0 if eye < FOG_TOP else 5000.0)))
+        return np.concatenate([np.concatenate([p.transmittance, p.inscatter]) for p in both])
+
+    single = path()
+    assert single.dtype == np.float32
+    with jax.enable_x64(True):
+        np.testing.assert_allclose(single, path(), rtol=3e-4)
 
 
 def test_what_a_solver_cannot_do_it_says():

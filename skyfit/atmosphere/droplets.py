@@ -51,7 +51,14 @@ class Droplets(AbstractConstituent):
     def _of_kind(cls, kind: str, coefficient, thickness, phase) -> "Droplets":
         means = read_table("droplet_efficiencies.csv")
         phase = droplet_phase(kind) if phase is None else phase
-        return cls(coefficient, thickness, means["wavelength_nm"], means[f"{kind}_efficiency"], phase)
+        # pyright takes the inherited, abstract `profile` for an argument
+        return cls(  # pyright: ignore[reportCallIssue]
+            coefficient=coefficient,
+            thickness=thickness,
+            table_wavelength_nm=means["wavelength_nm"],
+            efficiency=means[f"{kind}_efficiency"],
+            phase=phase,
+        )
 
     @property
     def profile(self):

@@ -182,7 +182,8 @@ class Shells(AbstractSolver):
     the sunlight above it, isotropic, $E / 4\pi$.
 
     **Valid:** sun above the horizon, else black; views above it, else 0; slant optical depths of one layer up to
-    about 10, 40 and 200 for the presets (beyond it the nodes miss the bright near end; flat: any).
+    40, 150 and over 300 for the presets, within 1 % (beyond, nodes miss the bright near end; flat: any depth). A sun
+    within a degree of the horizon and behind the eye: 4 % and 0.3 % for the first two, where its rays graze a top.
     **Source:** Klassen 1987, ACM Trans. Graph. 6, 215; the scattering angle is the one between the two directions
     (his $\theta + \phi$ of eq. 41 holds in the sun's vertical plane only).
     """
