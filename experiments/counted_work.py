@@ -10,8 +10,8 @@ from skyfit.transport.single import scatterer_indices
 EXPONENTIALS = 0.56e9
 BATCHED_FLOPS = (12e9, 21e9)
 LARGE_FLOPS = 45e9
-# points of the column along a curved ray
-COLUMN_NODES = 16
+# multiply-adds of a column along a curved ray: two polynomials, of degrees 10 and 6
+COLUMN_TERMS = 17
 
 
 class Work(NamedTuple):
@@ -35,8 +35,8 @@ def counted(solver: OrdersOfScattering, atmosphere: Atmosphere, directions: int,
     hemisphere, L layers, I sweeps, P pairs (l, m) with l >= m.
 
     single scattering: exponents $\\tau = $ column $\\cdot$ extinction, C D Q W; their exponentials, D Q W; the sum over
-    nodes, S D Q W; phase functions times it, S D W; densities and columns, 3 C D Q exponentials, of which the two
-    columns cost 16 each on curved paths.
+    nodes, S D Q W; phase functions times it, S D W; densities and two columns, 3 C D Q exponentials, with 17
+    multiply-adds a column on curved paths (exponential profiles; ozone's takes 16 points).
     sweeps: moments to streams and back, 2 P N L V a sweep; in each of two directions 2 N L M V for the recurrence and
     6 N L M V for the emitted and the mean light; turning on curved paths, 2 L N N M V; diffusion, L L V a sweep and
     once the inverse that is dense as it is coded, L^3 V; attenuation and source functions, 4 N L V exponentials.
@@ -50,13 +50,13 @@ def counted(solver: OrdersOfScattering, atmosphere: Atmosphere, directions: int,
     pairs = sum(max(count - m, 0) for m in range(modes))
     c, s = len(atmosphere.constituents), len(scatterer_indices(atmosphere.constituents))
     curved = solver.geometry == "spherical"
-    column = COLUMN_NODES if curved else 1
+    column = COLUMN_TERMS if curved else 1
     sweep = 2 * pairs * n * layers * v + 2 * (2 + 6) * n * layers * modes * v + layers * layers * v
     if curved:
         sweep += 2 * layers * n * n * modes * v
     return {
         "single scattering": Work(d * q * w * (c + s) + s * d * w + 2 * c * d * q * column,
-                                  d * q * w + d * q * c * (1 + 2 * column), True),
+                                  d * q * w + 3 * d * q * c, True),
         "sweeps": Work(solver.orders * sweep + layers**3 * v, 4 * n * layers * v + 2 * layers * v, False),
         "view integral": Work(pairs * d * layers * v + 4 * d * layers * v + d * w * v * (v < w),
                               2 * d * layers * v + (d * w + d * v) * (v < w), True),

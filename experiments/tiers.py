@@ -23,7 +23,10 @@ HERE = pathlib.Path(__file__).resolve().parent
 PRESETS, GEOMETRIES = ("draft", "normal", "fine"), ("flat", "spherical")
 # short name: class in skyfit, class methods that make it, their geometries (None: the method takes none)
 TIERS = {
+    "uniform": ("Uniform", ("normal",), ("flat",)),
+    "shells": ("Shells", PRESETS, GEOMETRIES),
     "single": ("SingleScattering", PRESETS, GEOMETRIES),
+    "double": ("DoubleScattering", PRESETS, GEOMETRIES),
     "orders": ("OrdersOfScattering", PRESETS, GEOMETRIES),
 }
 WAVELENGTH_NM = np.arange(380.0, 781.0, 10.0)
