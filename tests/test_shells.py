@@ -65,6 +65,16 @@ def test_the_spherical_sky_is_the_integral(x64, sun_elevation, draft, normal, fi
         np.testing.assert_allclose(found, expected, rtol=tolerance)
 
 
+def test_the_suns_rays_may_dip_into_the_haze_from_above(x64):
+    """A view just over the horizon, away from a setting sun, through a thin sky: points over the haze count too."""
+    depths = (0.01, 0.003)
+    scene = unit_scene(89.95, views([89.7], [180.0]))
+    expected = spherical_sky(89.95, 89.7, 180.0, TOPS, depths)
+    found = float(Shells(64).radiance(haze_over_air(*depths), scene)[0, 0])
+    # the chord begins as a square root: slow in nodes
+    assert found == pytest.approx(expected, rel=2e-4)
+
+
 def test_layers_of_one_height_are_one_layer(x64):
     """Equal tops: no piece between them, and no constituent is lost."""
     scene = unit_scene(60.0, views([0.0, 85.0], [20.0, 170.0]))
