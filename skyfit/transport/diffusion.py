@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -56,12 +57,17 @@ def diffusion(
         - jnp.asarray(upper, depth.dtype)[None] * below.T[:, :, None]
         - jnp.asarray(lower, depth.dtype)[None] * above.T[:, :, None]
     )
-    inverse = jnp.linalg.inv(matrix)
+    inverse = jnp.linalg.inv(jax.lax.stop_gradient(matrix))
+
+    def balance(even, mean, extra):
+        """What a layer gains of the light that is scattered in it, less what it loses."""
+        return depth * (albedo * mean - (1.0 - albedo) * even) - jnp.diff(flux(even, extra), axis=0)
 
     def diffuse(mean, stream):
         extra = 0.5 * depth * forward * stream
-        source = depth * albedo * mean - jnp.diff(flux(jnp.zeros_like(mean), extra), axis=0)
-        even = jnp.einsum("wjk,kw->jw", inverse, source)
+        # one step of refinement: it has the derivative of the solution, without that of an inverse
+        guess = jax.lax.stop_gradient(jnp.einsum("wjk,kw->jw", inverse, balance(jnp.zeros_like(mean), mean, extra)))
+        even = guess + jnp.einsum("wjk,kw->jw", inverse, balance(guess, mean, extra))
         level = flux(even, extra)
         ground_flux = 4.0 * np.pi * onto_ground[0] * (even[-1] + 3.0 * extra[-1])
         return even, 0.5 * (level[1:] + level[:-1]), ground_flux, -4.0 * np.pi * level[0]

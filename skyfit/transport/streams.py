@@ -315,7 +315,10 @@ def multiple_scattering(
     cosine = jnp.maximum(jnp.cos(view.zenith), 0.0)
     turn = jnp.arange(modes)[:, None] * (view.azimuth - scene.sun_azimuth)[None]
     basis = harmonics(cosine, jnp.sin(view.zenith), count, modes) * jnp.cos(turn)[None, None]
-    source = jnp.einsum("phmd,phmkw->kdw", basis, layers.moments[degree_index(count, modes)] * field.moments)
+    degree = degree_index(count, modes)
+    # harmonics of a degree below the mode are zero
+    some = np.nonzero(degree >= np.arange(modes))
+    source = jnp.einsum("hd,hkw->kdw", basis[some], (layers.moments[degree] * field.moments)[some])
     airmass = layer_airmass(layers.height, cosine, resolution.geometry)
     radiance = _seen(source, layers.depth, airmass)
     return jnp.where(above_horizon(view.zenith)[:, None], radiance, 0.0)
