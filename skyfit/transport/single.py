@@ -46,15 +46,15 @@ def _scattered_once(constituents, scene: Scene, extinction, nodes: int, geometry
     return total
 
 
+def scatterer_indices(constituents: tuple[AbstractConstituent, ...]) -> tuple[int, ...]:
+    """Places of the constituents that scatter."""
+    return tuple(i for i, c in enumerate(constituents) if c.phase is not None)
+
+
 def _edges(constituents):
     """Heights (m) at which the density of a scatterer jumps, increasing."""
     layered = [c.profile.edges[1:] for c in constituents if c.phase is not None and isinstance(c.profile, Layered)]
     return jnp.sort(jnp.concatenate([jnp.zeros(0), *layered]))
-
-
-def scatterer_indices(constituents: tuple[AbstractConstituent, ...]) -> tuple[int, ...]:
-    """Places of the constituents that scatter."""
-    return tuple(i for i, c in enumerate(constituents) if c.phase is not None)
 
 
 def transmitted_sun(
