@@ -1,5 +1,6 @@
 """Single scattering against integrals written down again; limits and symmetries of both solvers."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -20,8 +21,13 @@ from skies import (
 
 import skyfit
 from skyfit.atmosphere import (
+    Exponential,
     Ground,
+    HenyeyGreenstein,
+    Layered,
+    Prescribed,
     Rayleigh,
+    RayleighPhase,
 )
 from skyfit.transport import SingleScattering
 
@@ -213,3 +219,59 @@ def test_orders_exceed_single_scattering_and_brighten_with_the_ground():
     single = SINGLE["flat"].radiance(haze_over_air(0.3, 0.2), scene)
     dark, bright = (SMALL["flat"].radiance(haze_over_air(0.3, 0.2, ground=a), scene) for a in (0.0, 0.8))
     assert np.all(dark > single) and np.all(bright > 1.1 * dark)
+
+
+@pytest.mark.parametrize("geometry", ["flat", "spherical"])
+def test_layers_that_scatter_are_summed_layer_by_layer(x64, geometry):
+    """Views are cut at the edges: few nodes find a thin layer, which 24 over the whole path would miss by a third."""
+    edges, share = np.array([0.0, 2000.0, 2300.0, 5000.0]), np.array([0.1, 0.7, 0.2])
+    depth, sun, zenith, azimuth = 0.3, 50.0, [0.0, 60.0, 80.0], [0.0, 120.0]
+    haze = Prescribed(np.array([depth]), Layered(edges, share), HenyeyGreenstein(0.7), 0.9)
+    scene = unit_scene(sun, views(zenith, azimuth))
+    found = SingleScattering(12, geometry).radiance(skyfit.Atmosphere(haze, None, None, Ground(0.0)), scene)
+    # all of one kind: attenuation integrates in closed form on a flat Earth, whatever the layers
+    mu, mu_sun = np.cos(np.radians(zenith))[:, None], np.cos(np.radians(sun))
+    lobe = [[phase_functions(unit_vector(sun, 0.0) @ unit_vector(v, a))[1] for a in azimuth] for v in zenith]
+    slant = 1.0 / mu - 1.0 / mu_sun
+    expected = 0.9 * np.array(lobe) / mu * np.exp(-depth / mu_sun) * -np.expm1(-depth * slant) / slant
+    np.testing.assert_allclose(found[:, 0], expected.ravel(), rtol=1e-9 if geometry == "flat" else 1e-2)
+    best = SingleScattering(96, geometry).radiance(skyfit.Atmosphere(haze, None, None, Ground(0.0)), scene)
+    np.testing.assert_allclose(found, best, rtol=2e-6)
+
+
+def test_layers_aloft_are_summed_too(x64):
+    layers = Layered(np.array([0.0, 1e3, 2e3, 3e4]), np.array([0.2, 0.5, 0.3]))
+    atmosphere = skyfit.Atmosphere(Prescribed(np.array([0.3]), layers, RayleighPhase()), None, None)
+    view = views([0.0, 80.0, 91.0, 100.0, 150.0], [30.0])
+    for height in (500.0, 1500.0, 2e4, 4e5):
+        for geometry in ("flat", "spherical"):
+            scene = skyfit.Scene.from_degrees(60.0, view, ONE, irradiance="unit", height=height)
+            few, many = (SingleScattering(n, geometry).radiance(atmosphere, scene) for n in (24, 96))
+            np.testing.assert_allclose(few, many, rtol=1e-5)
+            assert np.count_nonzero(few) >= (3 if height < 1e5 else 1)
+
+
+@pytest.mark.parametrize("geometry", ["flat", "spherical"])
+def test_layers_have_the_slopes_of_differences(x64, geometry):
+    """By the heights of the edges and by the shares, on the ground and aloft."""
+
+    def sky(edges, share, height):
+        haze = Prescribed(np.array([0.3]), Layered(edges, share), HenyeyGreenstein(0.7))
+        air = Prescribed(np.array([0.2]), Exponential(8e3), RayleighPhase())
+        view = views([10.0, 80.0, 95.0], [40.0])
+        scene = skyfit.Scene.from_degrees(70.0, view, ONE, irradiance="unit", height=height)
+        return SingleScattering(8, geometry).radiance(skyfit.Atmosphere(air, haze, None), scene)[:, 0]
+
+    edges, share = jnp.array([0.0, 800.0, 2500.0, 6e3]), jnp.array([0.5, 0.3, 0.2])
+    for height in (None, 1.5e3):
+        run = jax.jit(lambda e, s, height=height: sky(e, s, height))
+        slopes = jax.jit(jax.jacfwd(run, (0, 1)))(edges, share)
+        for which, (values, step) in enumerate(((edges, 0.1), (share, 1e-5))):
+            for i in range(which == 0, values.size):
+                off = step * jnp.zeros_like(values).at[i].set(1.0)
+                both = (edges, share)
+                more, less = (run(*(v + t * off if k == which else v for k, v in enumerate(both))) for t in (1.0, -1.0))
+                central = (more - less) / (2.0 * step)
+                largest = float(jnp.max(jnp.abs(slopes[which])))
+                np.testing.assert_allclose(slopes[which][:, i], central, atol=1e-5 * largest)
+                assert np.any(np.abs(central) > 1e-3 * largest)

@@ -68,7 +68,7 @@ class Layered(AbstractProfile):
     """Homogeneous layers: `fraction` of the column in each layer between consecutive `edges`.
 
     `edges` in m, increasing, one more than `fraction`; the first is the ground (0). Fractions are normalised
-    to sum 1. Quadrature over the jumps at the edges is accurate to about 1 % of a thin layer's share.
+    to sum 1. Single scattering has its `nodes` in each layer that scatters, at that cost.
     """
 
     edges: Float[Array, " edge"] = eqx.field(converter=as_float)

@@ -22,7 +22,7 @@ from .optical_path import (
 from .solver import Geometry
 
 
-# the nodes are spread over this many times the height in which the scatterers thin out
+# the nodes of a curved path are spread over this many times the height in which the scatterers thin out
 _SPREAD = 2.0
 # m; no air is left there
 _FAR = 1e8
@@ -116,18 +116,18 @@ def _shadow(views: Views):
 
 
 def lit_points(
-    views: Views, reach: Float[Array, ""], nodes: int, geometry: Geometry
+    views: Views, reach: Float[Array, ""], edges: Float[Array, " edge"], nodes: int, geometry: Geometry
 ) -> tuple[Points, Float[Array, "direction node"]]:
     """Quadrature points on the lit parts of each view and the weights of their steps, m.
 
-    Each part ends at the entry into the air, the lowest point of the view, the shadow's edges or the view's end; its
-    nodes crowd toward its lower end, as the air does.
+    Each part ends at the entry into the air, the lowest point of the view, the shadow's edges, a height where the
+    density jumps or the view's end; its nodes crowd toward its lower end, as the air does.
 
-    **Arguments:** `reach` (m), the height over which the scatterers thin out; `nodes` a part: one part for the
-    observer on the ground, three aloft.
+    **Arguments:** `reach` (m), the height over which the scatterers thin out; `edges`, heights (m, increasing) of
+    jumps; `nodes` a part: one part for the observer on the ground, three aloft, times one more than the edges.
     """
     if geometry == "flat":
-        return _flat_points(views, reach, nodes)
+        return _flat_points(views, reach, edges, nodes)
     into_dark, from_dark = _shadow(views)
     if not views.aloft:
         # either in the shadow or never in it
@@ -141,6 +141,9 @@ def lit_points(
         pieces = [(before, views.entry), (lowest, third), (after, views.length)]
     low, far = (jnp.stack(v, axis=1) for v in zip(*pieces, strict=True))
     start = points_at(views, low)
+    if edges.shape[0]:
+        low, far = _cut(low, far, start, edges)
+        start = points_at(views, low)
     scale = length_scale(EARTH_RADIUS + start.height, jnp.abs(start.view_cosine), _SPREAD * reach)
     away = far - low
     y, weight = graded_nodes(jnp.abs(away) / scale, nodes)
@@ -149,14 +152,32 @@ def lit_points(
     return points_at(views, distance.reshape(flat)), (scale[..., None] * weight).reshape(flat)
 
 
-def _flat_points(views: Views, reach, nodes):
+def _cut(low, far, start: Points, edges):
+    """Parts that climb from `low` to `far`, cut at the heights of the edges."""
+    climb = edges[None, None] - start.height[..., None]
+    above = climb > 0.0
+    radius, cosine = (EARTH_RADIUS + start.height)[..., None], jnp.abs(start.view_cosine)[..., None]
+    length = jnp.abs(far - low)[..., None]
+    along = jnp.where(above, length_scale(radius, cosine, jnp.where(above, climb, 1.0)), 0.0)
+    along = jnp.concatenate([0.0 * length, jnp.minimum(along, length), length], axis=-1)
+    place = low[..., None] + jnp.where(far < low, -1.0, 1.0)[..., None] * along
+    flat = (low.shape[0], -1)
+    return place[..., :-1].reshape(flat), place[..., 1:].reshape(flat)
+
+
+def _flat_points(views: Views, reach, edges, nodes):
     """In height: dense toward the observer who looks up, toward the ground below one who looks down."""
-    other = views.height + views.length * views.cosine
-    low = jnp.maximum(jnp.minimum(views.height, other), 0.0)
-    y, weight = graded_nodes(jnp.abs(views.length * views.cosine) / reach, nodes)
-    height = low[:, None] + reach * y
+    climb = jnp.abs(views.length * views.cosine)[:, None]
+    low = jnp.where(views.cosine > 0.0, views.height, jnp.maximum(views.height + views.length * views.cosine, 0.0))
+    # heights above the lower end, which keep the digits of short paths
+    inside = jnp.clip(edges[None] - low[:, None], 0.0, climb)
+    place = jnp.concatenate([0.0 * climb, inside, climb], axis=1)
+    # layers do not thin out within themselves
+    scale = reach * (_SPREAD if edges.shape[0] else 1.0)
+    y, weight = graded_nodes(jnp.diff(place, axis=1) / scale, nodes)
+    height = low[:, None] + (place[:, :-1, None] + scale * y).reshape(place.shape[0], -1)
     cosine, sun = views.cosine[:, None] + jnp.zeros_like(height), views.sun_cosine + jnp.zeros_like(height)
-    step = jnp.where(sun > 0.0, reach / jnp.abs(cosine) * weight, 0.0)
+    step = jnp.where(sun > 0.0, scale / jnp.abs(cosine) * weight.reshape(height.shape), 0.0)
     return Points(height, cosine, sun), step
 
 
