@@ -121,3 +121,9 @@ def test_a_scene_looks_its_spectrum_up():
     assert float(unit.sun_zenith) == pytest.approx(np.pi / 6, rel=1e-6)
     with pytest.raises(ValueError, match="`wavelength_nm` must be 1-d"):
         Scene.from_degrees(30.0, view, wavelength, irradiance=np.ones(3))
+
+
+@pytest.mark.parametrize("height", [-1.0, float("nan")])
+def test_an_observer_does_not_stand_in_the_ground(height):
+    with pytest.raises(ValueError, match="`height` must be >= 0 m"):
+        Scene.from_degrees(30.0, hemisphere(3), np.array([500.0]), height=height)

@@ -66,5 +66,7 @@ class Scene(eqx.Module):
             values = irradiance
         if day_of_year is not None:
             values = values * earth_sun_factor(day_of_year)
+        if isinstance(height, float | int) and not height >= 0.0:
+            raise ValueError(f"`height` must be >= 0 m or None, got {height}")
         sun = jnp.deg2rad(as_float(sun_zenith)), jnp.deg2rad(as_float(sun_azimuth))
         return cls(*sun, view, wavelength_nm, values, height)
