@@ -48,5 +48,8 @@ def hoffman_haze(kind: str, wavelength_nm: Float[ArrayLike, " wavelength"], abso
     scattering: Float[Array, " wavelength"] = jnp.exp(inside + beyond)
     extinction = scattering + absorption
     return Prescribed(
-        extinction * _LENGTH, Exponential(_LENGTH), HenyeyGreenstein(table["asymmetry"]), scattering / extinction
+        optical_depth=extinction * _LENGTH,
+        profile=Exponential(_LENGTH),
+        phase=HenyeyGreenstein(table["asymmetry"]),
+        single_scattering_albedo=scattering / extinction,
     )

@@ -48,8 +48,9 @@ class Resolution(NamedTuple):
 
     def for_phases(self, constituents: tuple[AbstractConstituent, ...]) -> tuple[int, int]:
         """Moments and modes that these phase functions need: four and three for air alone."""
-        degrees = [c.phase.last_degree for c in constituents if c.phase is not None]
-        if any(d is None for d in degrees):
+        phases = [c.phase for c in constituents if c.phase is not None]
+        degrees = [phase.last_degree for phase in phases if phase.last_degree is not None]
+        if len(degrees) < len(phases):
             return 2 * self.streams, self.modes
         last = max(degrees)
         return min(2 * self.streams, 2 * (last // 2 + 1)), min(self.modes, last + 1)
@@ -203,7 +204,8 @@ def solve(layers: Layers, resolution: Resolution, modes: int) -> Field:
     slant = jnp.stack([p.airmass for p in paths])[..., None] * layers.depth[None, :, None]
     first, second = phi_functions(slant)
     lean = 0.5 * first - second
-    turns = None if paths[0].turn is None else _as_met(jnp.stack([p.turn for p in paths]))
+    bends = [path.turn for path in paths if path.turn is not None]
+    turns = _as_met(jnp.stack(bends)) if bends else None
     # what leaves a layer and its mean, of what enters it, of its source and of the source's step along the way
     through = _pair_as_met(jnp.exp(-slant), first)
     emits = _pair_as_met(slant * first, slant * second)
@@ -259,16 +261,12 @@ def solve(layers: Layers, resolution: Resolution, modes: int) -> Field:
 
     def order(carry, _):
         left, total = carry
-        if diffuse is None:
-            source = on_streams(phase * left)
-        else:
-            even, odd, *_ = diffuse(left[0, 0, 0], left[1, 0, 0])
-            source = on_streams(phase * _added(left, even, odd))
-        source = _as_met(source)
+        even, odd = left[0, 0, 0], left[1, 0, 0]
+        even, odd = (0.0 * even, 0.0 * odd) if diffuse is None else diffuse(even, odd)[:2]
+        source = _as_met(on_streams(phase * _added(left, even, odd)))
         met = run(jnp.zeros_like(source[0]), emits, source, sloped(source, thickness))
         scattered = sweep(*met, jnp.zeros_like(layers.beam[-1]))
-        left = scattered[0] if diffuse is None else _added(scattered[0], -even, -odd)
-        return (left, jax.tree.map(jnp.add, total, scattered)), None
+        return (_added(scattered[0], -even, -odd), jax.tree.map(jnp.add, total, scattered)), None
 
     (left, total), _ = jax.lax.scan(order, (total[0], total), None, length=resolution.orders - 1)
     if diffuse is None:

@@ -144,18 +144,19 @@ def _log_phase(atmosphere: Atmosphere, scene: Scene, geometry: Geometry) -> Floa
     """Log of the phase functions' mean, weighted by the sunlight that each constituent scatters; scale is arbitrary."""
     constituents, wavelength = atmosphere.constituents, scene.wavelength_nm
     depths = optics(constituents, wavelength)
-    scatterers = [(c, depth) for c, depth in zip(constituents, depths.scattering, strict=True) if c.phase is not None]
+    each = zip(constituents, depths.scattering, strict=True)
+    scatterers = [(c, phase, depth) for c, depth in each if (phase := c.phase) is not None]
     total = jnp.zeros((scene.view.zenith.shape[0], wavelength.shape[0]), wavelength.dtype)
     if not scatterers:
         return total
     y, weight = (jnp.asarray(v, wavelength.dtype) for v in exponential_nodes(_HEIGHTS))
-    height = jnp.stack([c.profile.reach() * y for c, _ in scatterers])
+    height = jnp.stack([c.profile.reach() * y for c, *_ in scatterers])
     cosine = jnp.cos(scene.sun_zenith) + jnp.zeros_like(height)
     column = jnp.stack([slant_column(c.profile, height, cosine, geometry) for c in constituents], axis=-1)
     depth = column @ depths.extinction
     sunlight = jnp.exp(jnp.min(depth, axis=(0, 1))[None, None] - depth)
     half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)
-    for (c, scattering), levels, light in zip(scatterers, height, sunlight, strict=True):
+    for (c, phase, scattering), levels, light in zip(scatterers, height, sunlight, strict=True):
         share = weight * c.profile.reach() * c.profile.density(levels)
-        total = total + c.phase.value(half, wavelength) * (scattering * (share @ light))[None]
+        total = total + phase.value(half, wavelength) * (scattering * (share @ light))[None]
     return jnp.log(jnp.where(total > 0.0, total, 1.0))
