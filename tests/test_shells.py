@@ -472,3 +472,20 @@ def test_33_wavelengths_have_the_colour_of_161(x64, sun):
     assert colours[1].shape == (6, 3)
     np.testing.assert_allclose(colours[0][:, :2], colours[1][:, :2], atol=1e-3)
     np.testing.assert_allclose(colours[0][:, 2], colours[1][:, 2], rtol=5e-3)
+
+
+def test_layers_of_one_top_have_the_gradient_of_differences(x64):
+    """Two tops are equal; the sky is differentiable there in each of them."""
+    scene = unit_scene(50.0, views([0.0, 60.0, 85.0], [30.0]))
+
+    def sky(tops):
+        haze = Prescribed(jnp.array([1.0]), Exponential(tops[1]), HenyeyGreenstein(0.7), 0.9)
+        air = Prescribed(jnp.array([0.25]), Exponential(tops[0]), RayleighPhase(0.0))
+        return Shells().radiance(skyfit.Atmosphere(air, haze, None), scene)
+
+    start = jnp.array([2000.0, 2000.0])
+    slopes = jax.jacfwd(sky)(start)
+    for i in range(2):
+        step = 0.01 * jnp.eye(2)[i]
+        central = (sky(start + step) - sky(start - step)) / 0.02
+        np.testing.assert_allclose(slopes[..., i], central, atol=1e-5 * float(jnp.max(jnp.abs(central))))

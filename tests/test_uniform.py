@@ -194,3 +194,29 @@ def test_gradients_are_those_of_differences(x64):
         central = (sky(start + step) - sky(start - step)) / 2e-6
         assert float(jnp.max(jnp.abs(central))) > 1e-4
         np.testing.assert_allclose(slopes[..., i], central, atol=1e-6 * float(jnp.max(jnp.abs(central))))
+
+
+def test_shells_of_one_length_have_the_gradient_of_differences(x64):
+    """Two scale heights are equal; the sky is differentiable there in each of them."""
+    scene = unit_scene(50.0, views([0.0, 60.0, 85.0], [30.0]), COLOURS)
+
+    def sky(heights):
+        haze = Aerosol(1.0, profile=Exponential(heights[1]))
+        return Uniform().radiance(skyfit.Atmosphere(Rayleigh(profile=Exponential(heights[0])), haze, None), scene)
+
+    start = jnp.array([2000.0, 2000.0])
+    slopes = jax.jacfwd(sky)(start)
+    for i in range(2):
+        step = 0.01 * jnp.eye(2)[i]
+        central = (sky(start + step) - sky(start - step)) / 0.02
+        np.testing.assert_allclose(slopes[..., i], central, atol=1e-5 * float(jnp.max(jnp.abs(central))))
+
+
+def test_a_path_without_end_is_finite():
+    """A depth image holds infinity where nothing stands: the object is gone, the light is that of a long path."""
+    atmosphere, scene = skyfit.Atmosphere(AIR, None, Ozone()), unit_scene(50.0, views([30.0, 90.0], [0.0]), RGB)
+    long, endless = (Uniform().path(atmosphere, scene, jnp.full(2, d)) for d in (1e8, jnp.inf))
+    np.testing.assert_array_equal(endless.transmittance, 0.0)
+    np.testing.assert_allclose(endless.inscatter, long.inscatter, rtol=1e-6)
+    slope = jax.grad(lambda d: jnp.sum(Uniform().path(atmosphere, scene, d).inscatter))(jnp.array([1e3, jnp.inf]))
+    assert np.all(np.isfinite(slope))

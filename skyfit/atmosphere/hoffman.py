@@ -1,5 +1,6 @@
 """The haze and fog of Hoffman & Preetham's article."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
@@ -21,7 +22,9 @@ _LENGTH = 1250.0
 _MOST_ABSORPTION = 5e-5
 
 
-def hoffman_haze(kind: str, wavelength_nm: Float[ArrayLike, " wavelength"], absorption: float = 0.0) -> Prescribed:
+def hoffman_haze(
+    kind: str, wavelength_nm: Float[ArrayLike, " wavelength"], absorption: Float[ArrayLike, ""] = 0.0
+) -> Prescribed:
     r"""Haze or fog of the article's table, 1.25 km of it, to stand as an `Atmosphere`'s aerosol.
 
     The scattering coefficient is a power of the wavelength between 650, 570 and 475 nm and beyond them.
@@ -29,14 +32,14 @@ def hoffman_haze(kind: str, wavelength_nm: Float[ArrayLike, " wavelength"], abso
     **Arguments:** `kind`, "light haze", "heavy haze", "light fog" or "heavy fog"; `wavelength_nm` of the
     scene, `[wavelength]`; `absorption` coefficient, m^-1, grey.
     **Returns:** a `Prescribed` constituent.
-    **Valid:** `absorption` 0 to 5e-5 /m, else `ValueError`. Its g is positive and below one (data/hoffman_haze.csv):
-    the printed -1, -3, -10, -30 are no asymmetry parameters, and the printed numerator (1 - g)^2 does not
-    integrate to one.
+    **Valid:** `absorption` 0 to 5e-5 /m, else `ValueError` (a traced value is taken as it is). Its g is positive
+    and below one (data/hoffman_haze.csv): the printed -1, -3, -10, -30 are no asymmetry parameters, and the printed
+    numerator (1 - g)^2 does not integrate to one.
     **Source:** Hoffman & Preetham 2002, Table 1 and Sunlight.
     """
     if kind not in _KINDS:
         raise ValueError(f"`kind` must be one of {', '.join(_KINDS)}, got {kind!r}")
-    if not 0.0 <= absorption <= _MOST_ABSORPTION:
+    if not isinstance(absorption, jax.core.Tracer) and not 0.0 <= absorption <= _MOST_ABSORPTION * (1.0 + 1e-6):
         raise ValueError(f"`absorption` must be within 0-{_MOST_ABSORPTION:g} per metre, got {absorption}")
     table = {name: float(column[_KINDS.index(kind)]) for name, column in read_table("hoffman_haze.csv").items()}
     place = np.log(HOFFMAN_WAVELENGTHS[::-1])

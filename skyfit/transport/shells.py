@@ -48,8 +48,10 @@ def layers(constituents: tuple[AbstractConstituent, ...], wavelength_nm: Float[A
     density = jnp.stack([jnp.maximum(c.profile.density(ground) / c.profile.above(ground), 0.0) for c in constituents])
     top = 1.0 / jnp.maximum(density, _MIN_DENSITY)
     extinction, scattering = optics(constituents, wavelength_nm)
-    level = jnp.sort(top)
-    return Layers(top, extinction / top[:, None], scattering / top[:, None], level, top[None] >= level[:, None])
+    # by rank, not by height: where two tops are equal the gradient is that of one order, and right
+    rank = jnp.argsort(jnp.argsort(top))
+    present = rank[None] >= jnp.arange(top.shape[0])[:, None]
+    return Layers(top, extinction / top[:, None], scattering / top[:, None], jnp.sort(top), present)
 
 
 def sun_transmittance(

@@ -14,6 +14,10 @@ from .single import dome
 from .solver import AbstractSolver, check_on_ground, Fluxes, Geometry, optics, Path
 
 
+# m, objects further off are taken to be here
+_FARTHEST = 1e9
+
+
 class Uniform(AbstractSolver):
     r"""Single scattering in air and haze of the ground's density that end where their column is used up.
 
@@ -72,13 +76,16 @@ class Uniform(AbstractSolver):
         r"""What lies between the eye and objects in air of the ground's density, $e^{-\beta_{ex} s}$ and eq. 4.
 
         **Arguments:** `distance` to the objects, m, one per view (any view, downward too).
-        **Returns:** `Path`. **Valid:** near the ground: the density does not fall with height.
+        **Returns:** `Path`. **Valid:** near the ground: the density does not fall with height; beyond 1e9 m, and at
+        infinity, objects are taken to be at 1e9 m.
         """
         check_on_ground(scene, "Uniform")
         shells = _shells(atmosphere.constituents, scene)
         if not shells.length.size:
             clear = jnp.zeros((distance.shape[0], scene.wavelength_nm.shape[0]))
             return Path(clear + 1.0, clear)
+        # a depth image says infinity where there is only sky
+        distance = jnp.minimum(distance, _FARTHEST)
         slant = distance[:, None] * jnp.sum(shells.extinction, axis=0)[None]
         scattered = jnp.sum(shells.scattered, axis=0) * distance[:, None] * phi1(slant)
         return Path(jnp.exp(-slant), _sun(atmosphere.constituents, scene)[None] * scattered)
@@ -123,7 +130,9 @@ def _radiance(atmosphere: Atmosphere, scene: Scene):
     ends = jnp.sort(shells.length)
     thickness = jnp.diff(ends, prepend=0.0)
     # the rest of a scatterer's length, shell by shell from the inside
-    present = (shells.length[None] >= ends[:, None]).astype(ends.dtype)
+    # by rank, not by length: where two are equal the gradient is then that of one order, and right
+    rank = jnp.argsort(jnp.argsort(shells.length))
+    present = (rank[None] >= jnp.arange(ends.size)[:, None]).astype(ends.dtype)
     way = thickness[:, None] * relative_airmass(scene.view.zenith)[None]
     slant = way[:, :, None] * (present @ shells.extinction)[:, None]
     inside = jnp.cumsum(slant, axis=0) - slant
