@@ -326,8 +326,49 @@ def test_a_low_suns_fog_has_one_colour_and_the_light_goes_as_its_opacity(x64):
     angle = np.radians(2.0)
     above = chord(EARTH_RADIUS + 8000.0, EARTH_RADIUS, angle) - chord(EARTH_RADIUS + FOG_TOP, EARTH_RADIUS, angle)
     colour = np.exp(-np.array([0.22, 0.05]) / 8000.0 * above) / (4.0 * np.pi)
-    np.testing.assert_allclose(path.inscatter / (1.0 - path.transmittance), np.ones((3, 1)) * colour, rtol=1e-9)
+    # the air's share of the opacity does not glow, and a beam through the fog leaves it nothing to scatter
+    share = (1.2 / FOG_TOP) / (1.2 / FOG_TOP + np.array([0.22, 0.05]) / 8000.0)
+    np.testing.assert_allclose(path.inscatter / (1.0 - path.transmittance), np.ones((3, 1)) * colour * share, rtol=1e-9)
     assert colour[1] > 2.0 * colour[0]
+
+
+def test_a_low_sun_lights_fog_only_from_all_sides(x64):
+    """Without fog the air scatters the beam as ever, and black fog does not shine."""
+    scene = skyfit.Scene.from_degrees(80.0, views([60.0, 90.0], [20.0]), ONE, irradiance="unit", height=1.5)
+    low, beam = Shells(geometry="flat", low_sun=True), Shells(geometry="flat")
+    air = Prescribed(np.array([0.1]), Exponential(8000.0), RayleighPhase(0.0))
+    thin, black = (
+        skyfit.Atmosphere(
+            air, Prescribed(np.array([depth]), Layered([0.0, FOG_TOP], [1.0]), HenyeyGreenstein(0.85), albedo), None
+        )
+        for depth, albedo in ((0.0, 1.0), (2.0, 0.0))
+    )
+    for distance in (2e4, np.inf):
+        far = jnp.full(2, distance)
+        bare = beam.path(thin, scene, far).inscatter
+        assert np.all(bare > 0.0)
+        for clear in (thin, skyfit.Atmosphere(air, None, None)):
+            np.testing.assert_allclose(low.path(clear, scene, far).inscatter, bare, rtol=1e-12)
+        np.testing.assert_allclose(
+            low.path(black, scene, far).inscatter, beam.path(black, scene, far).inscatter, rtol=1e-12
+        )
+
+
+@pytest.mark.parametrize("low_sun", [False, True])
+def test_a_sun_on_the_horizon_shines_in_either_precision(low_sun):
+    """90 degrees: float32 rounds pi / 2 to below the horizon."""
+    solver = Shells(geometry="flat", low_sun=True) if low_sun else Shells()
+    lights = []
+    for double in (False, True):
+        with jax.enable_x64(double):
+            scene = unit_scene(90.0, views([88.0], [20.0]))
+            if low_sun:
+                lights.append(float(solver.path(foggy(), scene, jnp.array([50.0])).inscatter[0, 0]))
+            else:
+                lights.append(float(solver.radiance(haze_over_air(*DEPTHS), scene)[0, 0]))
+            assert float(solver.fluxes(foggy(), unit_scene(91.0, views([88.0], [20.0]))).diffuse_down[0]) == 0.0
+    assert lights[1] > 0.0
+    assert lights[0] == pytest.approx(lights[1], rel=3e-3)
 
 
 # --- gradients, batches, errors

@@ -19,7 +19,7 @@ from .solver import AbstractSolver, check_geometry, check_on_ground, Fluxes, Geo
 _MIN_DENSITY = 1e-6
 # m, "infinitely far": a horizontal view of a depth image's sky
 _FAR = 1e9
-# views whose cosine is smaller are horizontal: they meet neither the ground nor the top of a layer
+# what has a smaller cosine is horizontal: such a view meets neither the ground nor the top of a layer
 _LEVEL_COSINE = 1e-7
 
 
@@ -66,7 +66,8 @@ def sun_transmittance(
     degrees: the ray keeps $r \cos\phi_r$.
     """
     cosine = jnp.cos(scene.sun_zenith)
-    lit = cosine > 0.0
+    # on a sphere a sun on the horizon shines, whatever the rounding of pi / 2
+    lit = cosine > (-_LEVEL_COSINE if geometry == "spherical" else 0.0)
     cosine = jnp.maximum(cosine, 0.0)
     depth = jnp.zeros_like(scene.wavelength_nm)
     for c in constituents:
@@ -132,12 +133,15 @@ def _toward_sun(height, sunward, top, inside):
     return jnp.where(inside, jnp.where(sunward >= 0.0, guarded / out, out), dip)
 
 
-def layer_path(air: Layers, scene: Scene, distance: Float[Array, " direction"]) -> tuple[Array, Array]:
+def layer_path(
+    air: Layers, scene: Scene, distance: Float[Array, " direction"], beam: bool = True
+) -> tuple[Array, Array]:
     r"""The closed form through layers of constant density over a flat Earth, for any eye and any view.
 
     The exponent is linear in the distance within a layer: each piece gives its length times `exp_mean`.
 
-    **Arguments:** `distance` along each view, m; the eye at `scene.height`.
+    **Arguments:** `distance` along each view, m; the eye at `scene.height`; `beam`, whether the light comes down
+    through the layers (else it is the same everywhere).
     **Returns:** the view's optical depth `[direction, wavelength]` and, as `shell_integral`,
     `[direction, constituent, wavelength]`. **Valid:** distances end at the ground and at 1e9 m.
     **Source:** Klassen 1987, eq. 36-46 without his $d_2$ = const, which is the limit of an eye near the ground;
@@ -162,6 +166,8 @@ def layer_path(air: Layers, scene: Scene, distance: Float[Array, " direction"]) 
         """From the eye to a place along the view and on to the sun, `[direction, place, wavelength]`."""
         place = at[..., None]
         seen = jnp.where(rising[:, None, None], jnp.minimum(place, top[:, None]), jnp.maximum(place - top[:, None], 0))
+        if not beam:
+            return seen @ air.extinction
         height = eye + cosine[:, None, None] * place
         return (seen + jnp.maximum(air.top[None, None] - height, 0.0) / sun) @ air.extinction
 
@@ -181,11 +187,11 @@ class Shells(AbstractSolver):
     haze. "constant" (spherical): only haze scatters, within its layer, before his constant blue
     $E_0 (1 - e^{-\tau_m}) \sin\phi / 4\pi$; the sine of the sun's elevation is the scale of brightness taken here,
     he gives none. `low_sun` (flat): no direct light passes the fog; what it sends to the eye is its opacity times
-    the sunlight above it, isotropic, $E / 4\pi$.
+    the sunlight above it, isotropic, $E / 4\pi$; the air scatters the beam as ever.
 
     **Valid:** sun above the horizon, else black; views above it, else 0; slant optical depths of one layer up to
     40, 150 and over 300 for the presets, within 1 % (beyond, nodes miss the bright near end; flat: any depth). A sun
-    within a degree of the horizon and behind the eye: 4 % and 0.3 % for the first two, where its rays graze a top.
+    within a degree of the horizon and behind the eye: 5, 0.4 and 0.8 %, where its rays graze a top.
     **Source:** Klassen 1987, ACM Trans. Graph. 6, 215; the scattering angle is the one between the two directions
     (his $\theta + \phi$ of eq. 41 holds in the sun's vertical plane only).
     """
@@ -275,14 +281,19 @@ def _path(solver: Shells, atmosphere: Atmosphere, scene: Scene, distance) -> Pat
         return Path(nothing + 1.0, nothing)
     air = layers(scatterers, scene.wavelength_nm)
     depth, integral = layer_path(air, scene, distance)
-    if solver.low_sun:
-        fog = [top for c, top in zip(scatterers, air.top, strict=True) if c is not atmosphere.rayleigh]
-        above = jnp.max(jnp.stack(fog)) if fog else jnp.zeros_like(air.top[0])
-        # so low a sun is seen through curved air
-        beam = sun_transmittance(atmosphere.constituents, scene, "spherical", above)
-        return Path(jnp.exp(-depth), -jnp.expm1(-depth) * (scene.solar_irradiance * beam / (4.0 * np.pi))[None])
     beam = scene.solar_irradiance * sun_transmittance(_absorbers(atmosphere), scene, "flat")
-    return Path(jnp.exp(-depth), _scattered(integral, air, scatterers, scene) * beam[None])
+    fog = [i for i, c in enumerate(scatterers) if c is not atmosphere.rayleigh]
+    if not (solver.low_sun and fog):
+        return Path(jnp.exp(-depth), _scattered(integral, air, scatterers, scene) * beam[None])
+    clear = jnp.array([c is atmosphere.rayleigh for c in scatterers])
+    inscatter = _scattered(jnp.where(clear[None, :, None], integral, 0.0), air, scatterers, scene) * beam[None]
+    # so low a sun is seen through curved air
+    above = jnp.max(jnp.stack([air.top[i] for i in fog]))
+    around = scene.solar_irradiance * sun_transmittance(atmosphere.constituents, scene, "spherical", above)
+    _, lit = layer_path(air, scene, distance, beam=False)
+    for i in fog:
+        inscatter = inscatter + air.scattering[i][None] * lit[:, i] * (around / (4.0 * np.pi))[None]
+    return Path(jnp.exp(-depth), inscatter)
 
 
 def _radiance(solver: Shells, atmosphere: Atmosphere, scene: Scene):
