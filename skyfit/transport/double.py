@@ -71,7 +71,8 @@ class DoubleScattering(AbstractSolver):
         diffuse = jnp.zeros_like(direct)
         if scatterer_indices(constituents):
             _, field = diffuse_field(_over_black(atmosphere), scene, scene.wavelength_nm, self._resolution(2))
-            diffuse = irradiance * field.ground_flux
+            # where little comes through thick layers, their slopes may undershoot
+            diffuse = irradiance * jnp.maximum(field.ground_flux, 0.0)
         return Fluxes(direct, diffuse, atmosphere.ground.reflectance(scene.wavelength_nm) * (direct + diffuse))
 
     def _resolution(self, orders: int) -> Resolution:

@@ -87,7 +87,8 @@ class OrdersOfScattering(AbstractSolver):
         diffuse, top = jnp.zeros_like(direct), None
         if scatterer_indices(constituents):
             layers, field = diffuse_field(atmosphere, scene, scene.wavelength_nm, self._resolution())
-            diffuse = field.ground_flux + sun * layers.beam[-1] - direct
+            # where little comes through thick layers, their slopes may undershoot
+            diffuse = jnp.maximum(field.ground_flux + sun * layers.beam[-1] - direct, 0.0)
             top = field.top_flux * scene.solar_irradiance
         up = reflectance * (direct + diffuse)
         irradiance = scene.solar_irradiance

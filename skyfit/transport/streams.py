@@ -268,7 +268,9 @@ def solve(layers: Layers, resolution: Resolution, modes: int) -> Field:
         scattered = sweep(*met, jnp.zeros_like(layers.beam[-1]))
         return (_added(scattered[0], -even, -odd), jax.tree.map(jnp.add, total, scattered)), None
 
-    (left, total), _ = jax.lax.scan(order, (total[0], total), None, length=resolution.orders - 1)
+    left = total[0]
+    if resolution.orders > 1:
+        (left, total), _ = jax.lax.scan(order, (left, total), None, length=resolution.orders - 1)
     if diffuse is None:
         return Field(*total)
     even, odd, more_flux, more_top = diffuse(left[0, 0, 0], left[1, 0, 0])
