@@ -1,4 +1,4 @@
-"""Puts the figures of experiments/results/accuracy.json into README.md, between its markers."""
+"""Puts the figures of experiments/results/accuracy.json and benchmark.json into README.md, between its markers."""
 
 import json
 import pathlib
@@ -7,6 +7,7 @@ import pathlib
 HERE = pathlib.Path(__file__).resolve().parent
 README = HERE.parent / "README.md"
 RESULT = HERE / "results" / "accuracy.json"
+BENCHMARK = HERE / "results" / "benchmark.json"
 START, END = "<!-- figures of experiments/results/accuracy.json -->", "<!-- end of figures -->"
 
 
@@ -53,11 +54,38 @@ def tables(record: dict) -> str:
     return "\n".join(lines)
 
 
+def speed(record: dict) -> str:
+    """The table of times, ours and the rivals', of one run."""
+    rows, ratios = record["rows"], record["ratios"]
+    names = [name for name, row in rows.items() if "max_relative_error" in row and "single" not in name]
+    lines = [
+        "| one flat sky, 343 x 41, all in one run | time | max error to 85° |",
+        "|---|---|---|",
+        *(
+            f"| {name.removesuffix(' flat')} | {1e3 * rows[name]['seconds']:.3g} ms "
+            f"| {100 * rows[name]['max_relative_error']:.2g} % |"
+            for name in names
+            if not name.startswith("PythonicDISORT")
+        ),
+        "",
+        f"Times of `experiments/benchmark.py`, float32, {record['made_with']['machine']}. Spherical: normal "
+        f"{1e3 * rows['orders normal spherical']['seconds']:.2g} ms a sky,",
+        f"{1e3 * ratios['batch of 60, spherical']['seconds_per_sky']:.2g} ms in a batch of 60; the Jacobian to 8 "
+        f"parameters {1e3 * rows['jacobian spherical']['seconds']:.2g} ms, "
+        f"{ratios['jacobian over forward, spherical']:.1f} times the sky (sasktran2:",
+        f"{rows['sasktran2 jacobian flat']['seconds']:.2g} s, {ratios['sasktran2 jacobian over its forward']:.0f} times). "
+        f"First sky in a new process: {record['first_result']['no cache']['first_result_seconds']:.1f} s, "
+        f"{record['first_result']['warm cache']['first_result_seconds']:.1f} s with a warm cache.",
+    ]
+    return "\n".join(lines)
+
+
 def updated(text: str, record: dict) -> str:
     """The README's text with the tables made anew."""
     before, rest = text.split(START)
     _, after = rest.split(END)
-    return f"{before}{START}\n{tables(record)}\n{END}{after}"
+    times = speed(json.loads(BENCHMARK.read_text()))
+    return f"{before}{START}\n{tables(record)}\n\n{times}\n{END}{after}"
 
 
 if __name__ == "__main__":
