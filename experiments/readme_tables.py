@@ -54,6 +54,11 @@ def tables(record: dict) -> str:
     return "\n".join(lines)
 
 
+def _milliseconds(row: dict) -> str:
+    value = 1e3 * row["seconds"]
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.2g}"
+
+
 def speed(record: dict) -> str:
     """The table of times, ours and the rivals', of one run."""
     rows, ratios = record["rows"], record["ratios"]
@@ -62,7 +67,7 @@ def speed(record: dict) -> str:
         "| one flat sky, 343 x 41, all in one run | time | max error to 85° |",
         "|---|---|---|",
         *(
-            f"| {name.removesuffix(' flat')} | {1e3 * rows[name]['seconds']:.3g} ms "
+            f"| {name.removesuffix(' flat')} | {_milliseconds(rows[name])} ms "
             f"| {100 * rows[name]['max_relative_error']:.2g} % |"
             for name in names
             if not name.startswith("PythonicDISORT")
@@ -73,7 +78,8 @@ def speed(record: dict) -> str:
         f"{1e3 * ratios['batch of 60, spherical']['seconds_per_sky']:.2g} ms in a batch of 60; the Jacobian to 8 "
         f"parameters {1e3 * rows['jacobian spherical']['seconds']:.2g} ms, "
         f"{ratios['jacobian over forward, spherical']:.1f} times the sky (sasktran2:",
-        f"{rows['sasktran2 jacobian flat']['seconds']:.2g} s, {ratios['sasktran2 jacobian over its forward']:.0f} times). "
+        f"{rows['sasktran2 jacobian flat']['seconds']:.2g} s, "
+        f"{ratios['sasktran2 jacobian over its forward']:.0f} times). "
         f"First sky in a new process: {record['first_result']['no cache']['first_result_seconds']:.1f} s, "
         f"{record['first_result']['warm cache']['first_result_seconds']:.1f} s with a warm cache.",
     ]
