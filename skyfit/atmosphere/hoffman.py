@@ -1,8 +1,8 @@
 """The haze and fog of Hoffman & Preetham's article."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 from ..numerics import hat_weights, read_table
@@ -23,7 +23,7 @@ _MOST_ABSORPTION = 5e-5
 
 
 def hoffman_haze(
-    kind: str, wavelength_nm: Float[ArrayLike, " wavelength"], absorption: Float[ArrayLike, ""] = 0.0
+    kind: str, wavelength_nm: Float[ArrayLike, " wavelength"], absorption: float | Float[Array, ""] = 0.0
 ) -> Prescribed:
     r"""Haze or fog of the article's table, 1.25 km of it, to stand as an `Atmosphere`'s aerosol.
 
@@ -39,7 +39,7 @@ def hoffman_haze(
     """
     if kind not in _KINDS:
         raise ValueError(f"`kind` must be one of {', '.join(_KINDS)}, got {kind!r}")
-    if not isinstance(absorption, jax.core.Tracer) and not 0.0 <= absorption <= _MOST_ABSORPTION * (1.0 + 1e-6):
+    if not isinstance(absorption, Tracer) and not 0.0 <= absorption <= _MOST_ABSORPTION * (1.0 + 1e-6):
         raise ValueError(f"`absorption` must be within 0-{_MOST_ABSORPTION:g} per metre, got {absorption}")
     table = {name: float(column[_KINDS.index(kind)]) for name, column in read_table("hoffman_haze.csv").items()}
     place = np.log(HOFFMAN_WAVELENGTHS[::-1])

@@ -11,7 +11,7 @@ from ..atmosphere import AbstractConstituent, Atmosphere
 from ..numerics import exp_mean, gauss_legendre, safe_sqrt
 from ..scene import haversine, Scene
 from .optical_path import above_horizon, EARTH_RADIUS, height_gain, length_scale, MIN_COSINE, slant_column
-from .single import dome, scatterer_indices
+from .single import fluxes_by_quadrature, scatterer_indices
 from .solver import AbstractSolver, check_geometry, check_on_ground, Fluxes, Geometry, optics, Path
 
 
@@ -237,12 +237,10 @@ class Shells(AbstractSolver):
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
         """Irradiance on the ground: the sun's colour (eq. 22), the sky by quadrature, the ground's reflection."""
         check_on_ground(scene, "Shells")
-        view, weight = dome(8, 16)
-        sky = eqx.tree_at(lambda s: s.view, scene, view)
-        diffuse = jnp.asarray(weight, scene.wavelength_nm.dtype) @ _radiance(self, atmosphere, sky)
         beam = sun_transmittance(atmosphere.constituents, scene, self.geometry)
-        direct = scene.solar_irradiance * jnp.maximum(jnp.cos(scene.sun_zenith), 0.0) * beam
-        return Fluxes(direct, diffuse, atmosphere.ground.reflectance(scene.wavelength_nm) * (direct + diffuse))
+        return fluxes_by_quadrature(
+            lambda sky: _radiance(self, atmosphere, sky), atmosphere, scene, scene.solar_irradiance * beam
+        )
 
     @eqx.filter_jit
     def path(self, atmosphere: Atmosphere, scene: Scene, distance: Float[Array, " direction"]) -> Path:

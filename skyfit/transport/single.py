@@ -1,5 +1,7 @@
 """Single scattering: sunlight that is scattered once on its way to an observer, from the ground to space."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -175,14 +177,11 @@ class SingleScattering(AbstractSolver):
     @eqx.filter_jit
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
         """Irradiance on the ground: the direct beam, the sky by quadrature, the ground's reflection."""
-        view, weight = dome(8, 16)
-        sky = Scene(scene.sun_zenith, scene.sun_azimuth, view, scene.wavelength_nm, scene.solar_irradiance)
-        diffuse = jnp.asarray(weight, scene.wavelength_nm.dtype) @ _radiance(self, atmosphere, sky)
         extinction = optics(atmosphere.constituents, scene.wavelength_nm).extinction
         beam = transmitted_sun(atmosphere.constituents, scene, extinction, self.geometry)
-        direct = scene.solar_irradiance * jnp.maximum(jnp.cos(scene.sun_zenith), 0.0) * beam
-        albedo = atmosphere.ground.reflectance(scene.wavelength_nm)
-        return Fluxes(direct, diffuse, albedo * (direct + diffuse))
+        return fluxes_by_quadrature(
+            lambda sky: _radiance(self, atmosphere, sky), atmosphere, scene, scene.solar_irradiance * beam
+        )
 
 
 def _radiance(solver: SingleScattering, atmosphere: Atmosphere, scene: Scene):
@@ -192,6 +191,25 @@ def _radiance(solver: SingleScattering, atmosphere: Atmosphere, scene: Scene):
     extinction = optics(constituents, scene.wavelength_nm).extinction
     once = single_scattering(constituents, scene, extinction, solver.nodes, solver.geometry)
     return once * scene.solar_irradiance[None]
+
+
+def fluxes_by_quadrature(
+    radiance: Callable[[Scene], Array],
+    atmosphere: Atmosphere,
+    scene: Scene,
+    sunlight: Float[Array, " wavelength"],
+    rings: int = 8,
+) -> Fluxes:
+    """Irradiance on the ground of a sky that is known by its radiance.
+
+    **Arguments:** `radiance` of a scene, W m^-2 sr^-1 nm^-1; `sunlight` at the ground normal to its beam,
+    W m^-2 nm^-1; `rings` of the quadrature. **Returns:** `Fluxes` of an observer on the ground.
+    """
+    view, weight = dome(rings, 16)
+    sky = Scene(scene.sun_zenith, scene.sun_azimuth, view, scene.wavelength_nm, scene.solar_irradiance)
+    diffuse = jnp.asarray(weight, scene.wavelength_nm.dtype) @ radiance(sky)
+    direct = sunlight * jnp.maximum(jnp.cos(scene.sun_zenith), 0.0)
+    return Fluxes(direct, diffuse, atmosphere.ground.reflectance(scene.wavelength_nm) * (direct + diffuse))
 
 
 def dome(rings: int, azimuths: int) -> tuple[Directions, np.ndarray]:

@@ -11,13 +11,11 @@ from ..atmosphere import AbstractConstituent, Atmosphere
 from ..numerics import associated_legendre, exp_mean, gauss_legendre, phi1, phi_functions
 from ..scene import Scene
 from .diffusion import diffusion
-from .optical_path import above_horizon, layer_airmass, slant_column, stream_paths, sunlit
+from .optical_path import above_horizon, layer_airmass, slant_column, stream_paths, sunlit, TOP_OF_AIR
 from .single import scatterer_indices
 from .solver import Geometry, optics
 
 
-# m, where the layers end
-TOP_OF_ATMOSPHERE = 100e3
 _HEIGHT_TABLE = 512
 
 
@@ -125,7 +123,7 @@ def scaled_optics(
 def level_heights(constituents: tuple[AbstractConstituent, ...], levels: int) -> Float[Array, " level"]:
     """Heights (m) of the levels, top to ground, equal steps of the scatterers' mean column share."""
     scatterers = [c.profile for c in constituents if c.phase is not None]
-    table = TOP_OF_ATMOSPHERE * (np.arange(_HEIGHT_TABLE + 1) / _HEIGHT_TABLE) ** 3
+    table = TOP_OF_AIR * (np.arange(_HEIGHT_TABLE + 1) / _HEIGHT_TABLE) ** 3
     height = jnp.asarray(table, jnp.result_type(float))
     share = jnp.mean(jnp.stack([p.above(height) for p in scatterers]), axis=0)
     share = (share - share[-1]) / (share[0] - share[-1])

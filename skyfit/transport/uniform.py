@@ -10,7 +10,7 @@ from ..atmosphere import AbstractConstituent, Atmosphere
 from ..numerics import phi1
 from ..scene import haversine, relative_airmass, Scene
 from .optical_path import above_horizon
-from .single import dome
+from .single import fluxes_by_quadrature
 from .solver import AbstractSolver, check_on_ground, Fluxes, Geometry, optics, Path
 
 
@@ -65,11 +65,8 @@ class Uniform(AbstractSolver):
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
         """Irradiance on the ground: the direct beam, the sky by quadrature, the ground's reflection."""
         check_on_ground(scene, "Uniform")
-        view, weight = dome(16, 16)
-        sky = _radiance(atmosphere, eqx.tree_at(lambda s: s.view, scene, view))
-        diffuse = jnp.asarray(weight, sky.dtype) @ sky
-        direct = _sun(atmosphere.constituents, scene) * jnp.maximum(jnp.cos(scene.sun_zenith), 0.0)
-        return Fluxes(direct, diffuse, atmosphere.ground.reflectance(scene.wavelength_nm) * (direct + diffuse))
+        sunlight = _sun(atmosphere.constituents, scene)
+        return fluxes_by_quadrature(lambda sky: _radiance(atmosphere, sky), atmosphere, scene, sunlight, rings=16)
 
     @eqx.filter_jit
     def path(self, atmosphere: Atmosphere, scene: Scene, distance: Float[Array, " direction"]) -> Path:
