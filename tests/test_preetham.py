@@ -60,7 +60,7 @@ def test_zenith_with_the_sun_at_60_degrees(double):
 
 
 def test_distribution_coefficients_at_turbidity_two(double):
-    luminance, x, y = Preetham.published().perez(2.0)
+    luminance, x, y = Preetham.published().perez(2.0, 0.0)
     expected = [-1.1056, -0.2833, 5.2797, -2.3359, 0.2363]
     np.testing.assert_allclose(luminance.coefficients, expected, atol=1e-6)
     np.testing.assert_allclose(x.coefficients, [-0.2978, -0.1322, 0.2117, -1.0271, 0.0386], atol=1e-6)
@@ -101,7 +101,7 @@ def test_published_luminance_is_singular_at_1_643():
         model = Preetham.published()
 
         def zenith(turbidity):
-            return float(model.perez(turbidity)[0].relative(jnp.array(0.0), jnp.array(0.5)))
+            return float(model.perez(turbidity, 0.5)[0].relative(jnp.array(0.0), jnp.array(0.5)))
 
         low, high = 1.5, 1.7
         for _ in range(40):
@@ -169,7 +169,9 @@ def test_a_refit_is_the_same_class_with_its_own_range(double):
     refit.check_range(1.1, 0.5)
     assert bool(refit.valid(1.2, 0.5)) and not bool(refit.valid(9.0, 0.5))
     assert [leaf.shape for leaf in jax.tree.leaves(refit)] == [(3, 5, 2), (3, 2), (2, 3, 4)]
-    np.testing.assert_allclose(refit.perez(3.0)[0].coefficients, 2.0 * model.perez(3.0)[0].coefficients, rtol=1e-6)
+    np.testing.assert_allclose(
+        refit.perez(3.0, 0.5)[0].coefficients, 2.0 * model.perez(3.0, 0.5)[0].coefficients, rtol=1e-6
+    )
 
 
 def test_values_and_gradients_are_finite_outside_and_at_the_edges(double):

@@ -8,13 +8,14 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..numerics.tables import read_table
+from .analytic import AbstractAnalyticSky
 from .perez import Perez
 
 
 _LARGEST_CHI = 1.5  # rad; the published angle stays below 4 pi / 9 = 1.396 for all turbidities > 0
 
 
-class Preetham(eqx.Module):
+class Preetham(AbstractAnalyticSky):
     """Luminance and chromaticity of a clear sky by turbidity and the sun's zenith angle.
 
     `distribution` `[Y x y, A B C D E, slope constant]`: Perez coefficients, linear in turbidity.
@@ -22,7 +23,8 @@ class Preetham(eqx.Module):
     two in kcd m^-2. `zenith_chromaticity` `[x y, T^2 T 1, cube square linear constant]` in the
     sun's zenith angle in radians. `lowest_turbidity` is where `check_range` raises, and
     `fitted_turbidity` the range beyond which `valid` is False: they belong to the coefficients, so
-    a refit brings its own.
+    a refit brings its own. Outside the range all is finite and worthless: with the published numbers Y has a pole
+    at turbidity 1.643 and most of the sky is negative below.
 
     **Source:** Preetham 1999 A.2. The fit there is to simulations of turbidity 2 to 6.
     """
@@ -48,11 +50,11 @@ class Preetham(eqx.Module):
             jnp.asarray(np.moveaxis(np.array(polynomial), 1, 2)),
         )
 
-    def perez(self, turbidity: Float[ArrayLike, ""]) -> tuple[Perez, Perez, Perez]:
-        """The distributions of luminance Y and of chromaticity x and y.
+    def perez(self, turbidity: Float[ArrayLike, ""], theta_sun: Float[ArrayLike, ""]) -> tuple[Perez, Perez, Perez]:
+        """The distributions of luminance Y and of chromaticity x and y, the same for every sun.
 
-        **Arguments:** `turbidity`, dimensionless. **Returns:** three `Perez`, for Y, x, y.
-        **Valid, source:** as the class.
+        **Arguments:** `turbidity`, dimensionless; `theta_sun` is not used.
+        **Returns:** three `Perez`, for Y, x, y. **Valid, source:** as the class.
         """
         coefficients = self.distribution[..., 0] * turbidity + self.distribution[..., 1]
         luminance, x, y = (Perez.from_coefficients(row) for row in coefficients)
@@ -80,32 +82,6 @@ class Preetham(eqx.Module):
         of_sun = ((cubic * sun + square) * sun + linear) * sun + constant
         x, y = (of_sun[:, 0] * turbidity + of_sun[:, 1]) * turbidity + of_sun[:, 2]
         return 1000.0 * (tangent * jnp.tan(chi) + offset), x, y
-
-    def luminance_chromaticity(
-        self,
-        turbidity: Float[ArrayLike, ""],
-        theta_sun: Float[ArrayLike, ""],
-        theta: Float[ArrayLike, "*direction"],
-        gamma: Float[ArrayLike, "*direction"],
-    ) -> tuple[Float[Array, "*direction"], Float[Array, "*direction"], Float[Array, "*direction"]]:
-        """Luminance and chromaticity of the sky in the given directions.
-
-        Y = Y_z F_Y(theta, gamma) / F_Y(0, theta_sun), and so for x and y.
-
-        **Arguments:** `turbidity`; `theta_sun` sun zenith angle; `theta` view zenith angle and
-        `gamma` angle from the sun, `[direction]`; radians.
-        **Returns:** Y in cd m^-2, x, y, each `[direction]`.
-        **Valid:** `valid`; nothing is raised here. Outside all is finite and worthless: with the
-        published numbers Y has a pole at turbidity 1.643 and most of the sky is negative below.
-        Directions below the horizon get the horizon's value of F at their gamma.
-        **Source:** Preetham 1999 eq. 4, A.2.
-        """
-        zenith = self.zenith(turbidity, theta_sun)
-        shape = self.perez(turbidity)
-        luminance, x, y = (
-            value * perez.ratio(theta, gamma, theta_sun) for value, perez in zip(zenith, shape, strict=True)
-        )
-        return luminance, x, y
 
     def check_range(self, turbidity, sun_zenith) -> None:
         """Raises `ValueError` where the model has no answer; for concrete values, outside jit.
