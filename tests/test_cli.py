@@ -401,10 +401,10 @@ def test_refit_writes_coefficients_and_a_picture(skyfit_command, tmp_path):
     done = skyfit_command(
         "refit", "--directions", 60, "--preset", "draft", "--geometry", "flat", "--out", "r", cwd=tmp_path
     )
-    assert sorted(path.name for path in (tmp_path / "r").iterdir()) == ["coefficients.json", "skies.png"]
+    assert sorted(path.name for path in (tmp_path / "r").iterdir()) == ["coefficients.json", "errors.png", "skies.png"]
     assert narrow(done.stdout) and "published" in done.stdout and "refitted" in done.stdout
     record = json.loads((tmp_path / "r" / "coefficients.json").read_text())
-    assert record["overall"]["refitted"]["luminance"] < 0.1
+    assert record["fitted"]["overall"]["refitted"]["luminance"] < 0.1
     # a row for each sky, and the two of all skies
     table = [line for line in done.stdout.splitlines() if line[:1] == " " and line.strip()[:1].isdigit()]
     assert len(table) == 60

@@ -2,15 +2,14 @@
 
 import os
 import textwrap
-from pathlib import Path
 
 import numpy as np
 
-from ..files.writing import atomic
 from ..fit import Fit, PARAMETERS, time_names
 from ..light import srgb_from_xyz
 from ..scene import as_float, Directions
 from .dome import cells, draw_dome, interpolated, place
+from .page import figure_maker, write_figure
 
 
 # a page holds no more times; of more, an even choice is drawn
@@ -35,7 +34,7 @@ def plot(fit: Fit, path: str | os.PathLike) -> None:
     **Valid:** a row for each time, an even choice of 8 where there are more; a dome shows the mean over the
     fitted wavelengths at 400-700 nm (all, if there are none). A failure leaves no file.
     """
-    figure_of = _figure_type(path)
+    figure_of = figure_maker(path)
     count = len(fit.sky.time)
     rows = np.linspace(0, count - 1, min(count, _MOST_ROWS)).round().astype(int).tolist()
     # inches
@@ -61,7 +60,7 @@ def plot(fit: Fit, path: str | os.PathLike) -> None:
         "per cent of that time's measured mean."
     )
     figure.text(0.012, 0.12 / tall, caption, fontsize=8, va="bottom", color="#555555", linespacing=1.35)
-    _write(figure, path)
+    write_figure(figure, path)
 
 
 def plot_skies(
@@ -78,7 +77,7 @@ def plot_skies(
     **Valid:** ten directions or more above the horizon. One exposure a row, from the mean luminance
     of the reference. A failure leaves no file.
     """
-    figure_of = _figure_type(path)
+    figure_of = figure_maker(path)
     names = list(rows[0][1]) if rows else []
     if not names or any(list(skies) != names for _, skies in rows):
         raise ValueError("`rows` must hold one or more skies, of the same names in every row")
@@ -125,29 +124,7 @@ def plot_skies(
         bar.outline.set_linewidth(0.5)
     caption = "As on a map: zenith in the middle, north up, east right.\nOne exposure in each row. Ringed dot: sun."
     figure.text(0.12 / wide, 0.14 / tall, caption, fontsize=8, va="bottom", color="#555555")
-    _write(figure, path)
-
-
-def _figure_type(path):
-    """A maker of figures of a size in inches, once the suffix of `path` is known to be writable."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    target = Path(path)
-    if target.suffix.lower() not in (".png", ".pdf", ".svg"):
-        raise ValueError(f"{target.name}: expected a suffix of .png, .pdf, .svg, found {target.suffix!r}")
-
-    def make(size):
-        figure = Figure(figsize=size, facecolor="white")
-        FigureCanvasAgg(figure)
-        return figure
-
-    return make
-
-
-def _write(figure, path) -> None:
-    with atomic(path) as part:
-        figure.savefig(part, dpi=150)
+    write_figure(figure, path)
 
 
 def _band(fit: Fit) -> np.ndarray:

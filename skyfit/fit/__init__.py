@@ -13,5 +13,13 @@ from .parameters import (
     values_of as values_of,
     with_values as with_values,
 )
-from .refit import model_xyz as model_xyz, preetham_atmosphere as preetham_atmosphere, Refit as Refit, refit as refit
+from .perez_fits import fit_perez as fit_perez, PerezFits as PerezFits
+from .refit import (
+    Comparison as Comparison,
+    Errors as Errors,
+    model_xyz as model_xyz,
+    preetham_atmosphere as preetham_atmosphere,
+    Refit as Refit,
+    refit as refit,
+)
 from .result import Fit as Fit, Fitted as Fitted, time_names as time_names

@@ -1,0 +1,100 @@
+"""`skyfit simulate`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from ..atmosphere import HenyeyGreenstein, SEA_LEVEL_PRESSURE, turbidity_to_optical_depth
+from ..files import read_directions, write_sky
+from ..scene import Directions, hemisphere, Scene, Sky
+from .options import (
+    AngstromExponent,
+    app,
+    console,
+    GeometryName,
+    GeometryOption,
+    GroundAlbedo,
+    HazeHeight,
+    in_range,
+    LineShape,
+    make_atmosphere,
+    make_solver,
+    OzoneColumn,
+    PresetName,
+    PresetOption,
+    Pressure,
+    progress,
+    SingleScatteringAlbedo,
+    SolverName,
+    SolverOption,
+)
+
+
+def _wavelengths(text: str) -> np.ndarray:
+    """Wavelengths from "first:last:step" or a list with commas, nm."""
+    try:
+        parts = np.array([float(part) for part in text.split(":" if ":" in text else ",")])
+    except ValueError:
+        parts = np.array([np.nan])
+    if not np.all(np.isfinite(parts)):
+        raise ValueError(f"`--wavelengths` must be first:last:step or a list in nm, got {text!r}")
+    if ":" not in text:
+        if np.any(np.diff(parts) <= 0.0):
+            raise ValueError(f"`--wavelengths` must increase, got {text!r}")
+        return parts
+    if parts.size != 3 or parts[2] <= 0.0 or not 0.0 <= parts[1] - parts[0] <= 1e4 * parts[2]:
+        raise ValueError(f"`--wavelengths` must be first:last:step in nm, 10000 steps at most, got {text!r}")
+    return np.arange(parts[0], parts[1] + 0.5 * parts[2], parts[2])
+
+
+@app.command()
+def simulate(
+    out: Annotated[Path, typer.Option(help="file to write, .nc or .csv")],
+    sun_zenith: Annotated[float, typer.Option(help="degrees")],
+    sun_azimuth: Annotated[float, typer.Option(help="degrees clockwise from north")] = 180.0,
+    turbidity: Annotated[float | None, typer.Option(help="Preetham's, at 550 nm (>= 1)")] = None,
+    aerosol_optical_depth: Annotated[float | None, typer.Option(help="at 550 nm, instead")] = None,
+    angstrom_exponent: AngstromExponent = 1.3,
+    single_scattering_albedo: SingleScatteringAlbedo = 0.95,
+    asymmetry: Annotated[float, typer.Option(help="of Henyey and Greenstein's phase function")] = 0.7,
+    haze_height: HazeHeight = 1200.0,
+    ground_albedo: GroundAlbedo = 0.1,
+    ozone: OzoneColumn = 300.0,
+    pressure: Pressure = SEA_LEVEL_PRESSURE,
+    wavelengths: Annotated[str, typer.Option(help="nm, first:last:step or a,b,c")] = "380:780:10",
+    directions: Annotated[Path | None, typer.Option(help="CSV with view_zenith, view_azimuth")] = None,
+    fwhm: LineShape = None,
+    solver: SolverOption = SolverName.orders,
+    preset: PresetOption = PresetName.normal,
+    geometry: GeometryOption = GeometryName.spherical,
+):
+    """Simulate the spectral radiance of a clear sky."""
+    if (turbidity is None) == (aerosol_optical_depth is None):
+        raise ValueError("exactly one of `--turbidity` and `--aerosol-optical-depth` must be given")
+    if turbidity is not None:
+        depth = turbidity_to_optical_depth(in_range("--turbidity", turbidity, 1.0, 50.0))
+    elif aerosol_optical_depth is not None:
+        depth = in_range("--aerosol-optical-depth", aerosol_optical_depth, 0.0, 5.0)
+    in_range("--sun-zenith", sun_zenith, 0.0, 90.0)
+    if out.suffix not in (".nc", ".csv") or not out.absolute().parent.is_dir():
+        raise ValueError(f"`--out` must be a .nc or .csv file in a folder that is there, got {out}")
+    phase = HenyeyGreenstein(in_range("--asymmetry", asymmetry, -0.98, 0.98))
+    atmosphere = make_atmosphere(
+        phase, angstrom_exponent, single_scattering_albedo, haze_height, ground_albedo, ozone, pressure
+    )(depth)
+    view = hemisphere(343) if directions is None else Directions(*read_directions(directions))
+    spectrum = _wavelengths(wavelengths)
+    scene = Scene.from_degrees(sun_zenith, view, spectrum, sun_azimuth, fwhm_nm=fwhm)
+    with progress("simulating"):
+        radiance = np.asarray(make_solver(solver, preset, geometry).radiance(atmosphere, scene), float)
+    sky = Sky(
+        radiance=radiance[None], sigma=None, usable=np.isfinite(radiance[None]),
+        view_zenith=np.asarray(view.zenith), view_azimuth=np.asarray(view.azimuth), wavelength_nm=spectrum,
+        sun_zenith=np.radians([sun_zenith]), sun_azimuth=np.radians([sun_azimuth]),
+        time=np.array(["NaT"], "datetime64[ns]"), fwhm_nm=np.nan if fwhm is None else fwhm, altitude_m=0.0,
+        source=out.name,
+    )  # fmt: skip
+    write_sky(sky, out)
+    console.print(f"{out}: {radiance.shape[0]} directions, {radiance.shape[1]} wavelengths", highlight=False)
