@@ -52,8 +52,7 @@ class CIEClear(AbstractAnalyticSky):
         **Source:** the formula of Radiance's gensky; Preetham 1999 names Karayel et al. 1984 and CIE 110-1994 for
         formulas of this kind, neither of which was at hand.
         """
-        elevation = jnp.clip(0.5 * jnp.pi - jnp.asarray(theta_sun), 0.0, _HIGHEST_SUN)
-        luminance = 1000.0 * ((1.376 * jnp.asarray(turbidity) - 1.81) * jnp.tan(elevation) + 0.38)
+        luminance = _clear_zenith(jnp.asarray(turbidity), theta_sun)
         third = jnp.full_like(luminance, 1.0 / 3.0)
         return luminance, third, third
 
@@ -67,7 +66,7 @@ class CIEClear(AbstractAnalyticSky):
         bad = ~((sun >= 0.0) & (sun <= math.pi / 2 + 1e-6))
         if bad.any():
             raise ValueError(f"`sun_zenith` must be between 0 and pi/2, sun above the horizon, got {sun[bad][0]:g} rad")
-        luminance = np.asarray(self.zenith(turbidity, sun)[0])
+        luminance = np.asarray(_clear_zenith(turbidity, sun))
         bad = ~(np.isfinite(turbidity) & (luminance > 0.0))
         if bad.any():
             raise ValueError(
@@ -79,6 +78,11 @@ class CIEClear(AbstractAnalyticSky):
         sun = jnp.asarray(sun_zenith)
         near_zenith = sun < 0.5 * jnp.pi - _HIGHEST_SUN
         return ~near_zenith & (sun <= 0.5 * jnp.pi) & (self.zenith(turbidity, sun)[0] > 0.0)
+
+
+def _clear_zenith(turbidity, theta_sun):
+    elevation = jnp.clip(0.5 * jnp.pi - theta_sun, 0.0, _HIGHEST_SUN)
+    return 1000.0 * ((1.376 * turbidity - 1.81) * jnp.tan(elevation) + 0.38)
 
 
 def overcast_zenith_luminance(theta_sun: Float[ArrayLike, ""]) -> Float[Array, ""]:

@@ -119,21 +119,23 @@ def layered_column(profile: Layered, height, cosine):
 
 def levels_column(profile: Levels, height, cosine):
     """The column of a table of densities along a ray that climbs: Gauss-Legendre in the length within each layer."""
+
+    def everywhere(values):
+        return jnp.expand_dims(values, range(height.ndim))
+
     radius, cosine = (EARTH_RADIUS + height)[..., None], cosine[..., None]
-    climb = jnp.expand_dims(profile.height, range(height.ndim)) - height[..., None]
+    climb = everywhere(profile.height) - height[..., None]
     above = climb > 0.0
     length = jnp.where(above, length_scale(radius, cosine, jnp.where(above, climb, 1.0)), 0.0)
-    log = profile.log_density()
-    slope = jnp.diff(log) / jnp.diff(profile.height)
+    log, thickness = profile.log_density(), everywhere(jnp.diff(profile.height))
+    low, change = everywhere(log[:-1]), everywhere(jnp.diff(log))
     x, weight = gauss_legendre(_LAYER_NODES)
     mean = jnp.zeros_like(climb[..., 1:])
     for fraction, share in zip(x.tolist(), weight.tolist(), strict=True):
         distance = length[..., :-1] + fraction * jnp.diff(length, axis=-1)
-        past = height_gain(radius, cosine, distance) - climb[..., :-1]
         # a layer below the ray's start has no length, and must not run away either
-        past = jnp.clip(past, 0.0, jnp.diff(profile.height))
-        exponent = jnp.expand_dims(log[:-1], range(height.ndim)) + past * slope
-        mean = mean + share * jnp.exp(exponent)
+        past = jnp.clip((height_gain(radius, cosine, distance) - climb[..., :-1]) / thickness, 0.0, 1.0)
+        mean = mean + share * jnp.exp(low + past * change)
     return jnp.sum(mean * jnp.diff(length, axis=-1), axis=-1)
 
 
@@ -207,9 +209,9 @@ def slant_column(
     **Returns:** dimensionless, the airmass times the share of the column above.
     **Valid:** every cosine; flat: cosines below 1e-4 are taken as 1e-4; spherical: a ray that would enter the
     ground is continued with its tangent point on the ground (`sunlit` says which do).
-    Exponential profiles within 1e-5, layers exactly, tables of levels within 1e-6
-    where density changes by a factor e at most in a layer (3e-5: e^2), ozone of 20 +- 5 km within 2e-4 at the horizon and 4e-5
-    above it, others by as many nodes on an exponential scale.
+    Exponential profiles within 1e-5, layers exactly, tables of levels within 1e-6 where density changes by a factor e
+    at most in a layer (3e-5: e^2), ozone of 20 +- 5 km within 2e-4 at the horizon and 4e-5 above it, others by as many
+    nodes on an exponential scale.
     **Source:** `chapman_column`; quadrature: Klassen 1987, eq. 27, 28 with the exact change of variable (his l(r)
     is linear in r).
     """
