@@ -138,6 +138,7 @@ def test_the_share_is_smooth_and_its_slope_is_the_central_difference(x64):
     assert np.all(np.isfinite(slope(turbidity)))
     np.testing.assert_allclose(slope(jnp.array([6.0 + 1e-6, 10.0 - 1e-6])), 0.0, atol=1e-5)
 
+    @jax.jit
     def values(p):
         theta, gamma = jnp.array([0.0, 1.1]), jnp.array([0.8, 0.4])
         return jnp.stack(Intermediate(sky.clear, p[2], p[3]).luminance_chromaticity(p[0], p[1], theta, gamma))
@@ -180,6 +181,7 @@ def test_vmap_is_the_loop_and_float32_near_float64():
             sky = Intermediate(Preetham.published())
             view = jnp.asarray(theta)
 
+            @jax.jit
             def one(t, s, sky=sky, view=view):
                 gamma = angle_between(view, s, jnp.asarray(0.8))
                 return jnp.stack(sky.luminance_chromaticity(t, s, view, gamma))

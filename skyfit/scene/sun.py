@@ -25,7 +25,7 @@ def solar_time(
     day = jnp.asarray(day_of_year)
     spring = 0.170 * jnp.sin(4.0 * jnp.pi * (day - 80) / 373.0)
     winter = 0.129 * jnp.sin(2.0 * jnp.pi * (day - 8) / 355.0)
-    return standard_time + spring - winter + 12.0 / jnp.pi * (jnp.asarray(meridian_west) - longitude_west)
+    return jnp.asarray(standard_time) + spring - winter + 12.0 / jnp.pi * (jnp.asarray(meridian_west) - longitude_west)
 
 
 def short_sun_position(
