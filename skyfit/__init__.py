@@ -10,12 +10,15 @@ from .atmosphere import (
     HenyeyGreenstein as HenyeyGreenstein,
     hoffman_haze as hoffman_haze,
     Layered as Layered,
+    Levels as Levels,
+    meteorological_range as meteorological_range,
     Ozone as Ozone,
     OzoneLayer as OzoneLayer,
     Prescribed as Prescribed,
     Rayleigh as Rayleigh,
     RayleighPhase as RayleighPhase,
     Tabulated as Tabulated,
+    turbidity_from_range as turbidity_from_range,
     TwoTermHenyeyGreenstein as TwoTermHenyeyGreenstein,
 )
 from .draw import plot as plot
@@ -23,7 +26,13 @@ from .files import load as load, read as read, save as save, write_sky as write_
 from .fit import Fit as Fit, invert as invert, PARAMETERS as PARAMETERS, predict as predict, refit as refit
 from .light import srgb as srgb, xyY as xyY, xyz as xyz
 from .scene import Directions as Directions, hemisphere as hemisphere, Scene as Scene, Sky as Sky
-from .sky import Perez as Perez, Preetham as Preetham
+from .sky import (
+    CIEClear as CIEClear,
+    Intermediate as Intermediate,
+    Perez as Perez,
+    Preetham as Preetham,
+    Sunlight as Sunlight,
+)
 from .transport import (
     DoubleScattering as DoubleScattering,
     Fluxes as Fluxes,

@@ -17,6 +17,7 @@ from skyfit.atmosphere import (
     Ground,
     HenyeyGreenstein,
     Layered,
+    Levels,
     optical_depth_to_turbidity,
     Ozone,
     OzoneLayer,
@@ -329,6 +330,10 @@ PROFILES = {
     "layered": (
         lambda: Layered(np.array([0.0, 1000.0, 3000.0, 10000.0]), np.array([1.0, 2.0, 5.0])),
         (1000.0, 3000.0, 10000.0),
+    ),
+    "levels": (
+        lambda: Levels(np.array([0.0, 1500.0, 4000.0, 12000.0, 50000.0]), np.array([1.0, 0.5, 0.7, 0.1, 1e-3])),
+        (1500.0, 4000.0, 12000.0, 50000.0),
     ),
 }
 

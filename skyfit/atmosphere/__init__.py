@@ -2,8 +2,6 @@ from .aerosol import Aerosol as Aerosol, REFERENCE_WAVELENGTH as REFERENCE_WAVEL
 from .atmosphere import (
     Atmosphere as Atmosphere,
     Ground as Ground,
-    optical_depth_to_turbidity as optical_depth_to_turbidity,
-    turbidity_to_optical_depth as turbidity_to_optical_depth,
 )
 from .constituent import AbstractConstituent as AbstractConstituent, Prescribed as Prescribed
 from .droplets import droplet_phase as droplet_phase, Droplets as Droplets
@@ -20,7 +18,9 @@ from .phase import (
 from .profile import (
     AbstractProfile as AbstractProfile,
     Exponential as Exponential,
+    HAZE_SCALE_HEIGHT as HAZE_SCALE_HEIGHT,
     Layered as Layered,
+    Levels as Levels,
     OzoneLayer as OzoneLayer,
 )
 from .rayleigh import (
@@ -29,4 +29,11 @@ from .rayleigh import (
     pressure_at_altitude as pressure_at_altitude,
     Rayleigh as Rayleigh,
     SEA_LEVEL_PRESSURE as SEA_LEVEL_PRESSURE,
+)
+from .turbidity import (
+    angstrom_coefficient as angstrom_coefficient,
+    meteorological_range as meteorological_range,
+    optical_depth_to_turbidity as optical_depth_to_turbidity,
+    turbidity_from_range as turbidity_from_range,
+    turbidity_to_optical_depth as turbidity_to_optical_depth,
 )

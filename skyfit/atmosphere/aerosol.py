@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ..scene import as_float
 from .constituent import AbstractConstituent
 from .phase import AbstractPhase, HenyeyGreenstein
-from .profile import AbstractProfile, Exponential
+from .profile import AbstractProfile, Exponential, HAZE_SCALE_HEIGHT
 
 
 # nm, where the aerosol optical depth and the turbidity are stated (Preetham 1999, sec. 2.1)
@@ -29,7 +29,7 @@ class Aerosol(AbstractConstituent):
     single_scattering_albedo: Float[Array, ""] = eqx.field(converter=as_float, default=0.95)
     single_scattering_albedo_slope: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
     phase: AbstractPhase = eqx.field(default_factory=lambda: HenyeyGreenstein(0.7))
-    profile: AbstractProfile = eqx.field(default_factory=lambda: Exponential(1200.0))
+    profile: AbstractProfile = eqx.field(default_factory=lambda: Exponential(HAZE_SCALE_HEIGHT))
     smooth_in_wavelength: ClassVar[bool] = True
 
     def extinction(self, wavelength_nm):

@@ -8,21 +8,8 @@ from ..scene import as_float
 from .aerosol import Aerosol, REFERENCE_WAVELENGTH
 from .constituent import AbstractConstituent
 from .ozone import Ozone
-from .rayleigh import bodhaine_optical_depth, Rayleigh
-
-
-def turbidity_to_optical_depth(turbidity):
-    r"""Aerosol optical depth at 550 nm, $\tau_a = (T - 1)\,\tau_R(550)$, sea-level Rayleigh depth.
-
-    **Arguments:** `turbidity` >= 1. **Returns:** dimensionless.
-    **Source:** Preetham 1999, sec. 2.1, T = (t_m + t_h) / t_m at 550 nm.
-    """
-    return (turbidity - 1.0) * bodhaine_optical_depth(REFERENCE_WAVELENGTH)
-
-
-def optical_depth_to_turbidity(optical_depth):
-    """The inverse of `turbidity_to_optical_depth`."""
-    return 1.0 + optical_depth / bodhaine_optical_depth(REFERENCE_WAVELENGTH)
+from .rayleigh import Rayleigh
+from .turbidity import Relation, turbidity_to_optical_depth
 
 
 class Ground(eqx.Module):
@@ -61,9 +48,12 @@ class Atmosphere(eqx.Module):
         return cls(aerosol=Aerosol(optical_depth, **aerosol))
 
     @classmethod
-    def from_turbidity(cls, turbidity, **aerosol) -> "Atmosphere":
-        """As `from_optical_depth`, with the haze given by Preetham's turbidity at 550 nm (>= 1)."""
-        return cls.from_optical_depth(turbidity_to_optical_depth(turbidity), **aerosol)
+    def from_turbidity(cls, turbidity, relation: Relation = "definition", **aerosol) -> "Atmosphere":
+        """As `from_optical_depth`, with the haze given by Preetham's turbidity at 550 nm (>= 1).
+
+        `relation` as in `turbidity_to_optical_depth`.
+        """
+        return cls.from_optical_depth(turbidity_to_optical_depth(turbidity, relation), **aerosol)
 
     @property
     def constituents(self) -> tuple[AbstractConstituent, ...]:

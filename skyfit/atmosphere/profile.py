@@ -5,10 +5,18 @@ from abc import abstractmethod
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ..numerics import hat_weights
+from ..numerics import hat_weights, phi1, phi_functions, read_table
 from ..scene import as_float
+
+
+# m, Preetham 1999, A.4 (0.8333 /km)
+HAZE_SCALE_HEIGHT = 1200.0
+# the logarithm of a density is taken of no less: still a float32
+_SMALLEST_DENSITY = 1e-30
 
 
 class AbstractProfile(eqx.Module):
@@ -99,3 +107,72 @@ class Layered(AbstractProfile):
     def reach(self):
         middle = 0.5 * (self.edges[1:] + self.edges[:-1])
         return jnp.sum(self._share() * middle)
+
+
+class Levels(AbstractProfile):
+    r"""A table: density that changes exponentially with height between levels, $\rho_i (\rho_{i+1}/\rho_i)^t$.
+
+    `height` of the levels in m, increasing, the first on the ground; `density` there, > 0, in any unit: the column
+    is normalised. Nothing lies above the last level. Solvers on a sphere integrate layer by layer, at that cost;
+    `SingleScattering.normal` has Elterman's haze to 0.2 %, whose layer aloft the nodes of a smooth view see coarsely.
+    """
+
+    height: Float[Array, " level"] = eqx.field(converter=as_float)
+    density_at: Float[Array, " level"] = eqx.field(converter=as_float)
+
+    def __check_init__(self):
+        if self.height.ndim != 1 or self.height.shape != self.density_at.shape or self.height.shape[0] < 2:
+            raise ValueError(
+                "`height` and `density_at` must be 1-d and of one length, two levels at least, "
+                f"got {self.height.shape} and {self.density_at.shape}"
+            )
+        if not isinstance(self.height, Tracer) and not (
+            self.height[0] == 0.0 and np.all(np.diff(np.asarray(self.height)) > 0.0)
+        ):
+            raise ValueError(f"`height` must begin at 0 and increase, got {np.asarray(self.height)}")
+        if not isinstance(self.density_at, Tracer) and not np.all(np.asarray(self.density_at) > 0.0):
+            raise ValueError(f"`density_at` must be positive, got {np.asarray(self.density_at)}")
+
+    @classmethod
+    def us_standard_1976(cls) -> "Levels":
+        """Air of the US Standard Atmosphere 1976, from the ground to 86 km; data/us_standard_atmosphere_1976.csv."""
+        table = read_table("us_standard_atmosphere_1976.csv")
+        return cls(table["height_m"], table["density_kg_m3"])
+
+    @classmethod
+    def elterman_1968(cls) -> "Levels":
+        """Elterman's haze, from the ground to 50 km, with its layer at 20 km; data/elterman_1968_aerosol.csv."""
+        table = read_table("elterman_1968_aerosol.csv")
+        return cls(table["height_m"], table["extinction_per_km"])
+
+    def log_density(self) -> Float[Array, " level"]:
+        """Logarithm of the normalised density (m^-1) at the levels."""
+        log = jnp.log(jnp.maximum(self.density_at, _SMALLEST_DENSITY))
+        log = log - log[0]
+        return log - jnp.log(jnp.sum(jnp.diff(self.height) * jnp.exp(log[:-1]) * phi1(log[:-1] - log[1:])))
+
+    def above(self, height):
+        log = self.log_density()
+        layer = jnp.diff(self.height) * jnp.exp(log[:-1]) * phi1(log[:-1] - log[1:])
+        over = jnp.concatenate([jnp.cumsum(layer[::-1])[::-1][1:], jnp.zeros_like(layer[:1])])
+        # the upper end of the layer that a height lies in
+        ends = self._layer_of(height) @ jnp.stack([self.height[1:], log[1:], over], axis=1)
+        inside = jnp.clip(height, self.height[0], self.height[-1])
+        here = hat_weights(height, self.height) @ log
+        return ends[..., 2] + (ends[..., 0] - inside) * jnp.exp(here) * phi1(here - ends[..., 1])
+
+    def density(self, height):
+        here = jnp.exp(hat_weights(height, self.height) @ self.log_density())
+        return jnp.where(height < self.height[-1], here, 0.0)
+
+    def _layer_of(self, height):
+        """One where a height lies in a layer, zero elsewhere; the first and the last layer have no end."""
+        past = (height[..., None] >= jnp.expand_dims(self.height[1:-1], range(height.ndim))).astype(self.height.dtype)
+        ones = jnp.ones_like(height)[..., None]
+        return jnp.concatenate([ones, past], axis=-1) - jnp.concatenate([past, 0.0 * ones], axis=-1)
+
+    def reach(self):
+        log, step = self.log_density(), jnp.diff(self.height)
+        first, second = phi_functions(log[:-1] - log[1:])
+        # the mean height
+        return jnp.sum(step * jnp.exp(log[:-1]) * (self.height[:-1] * first + step * (first - second)))

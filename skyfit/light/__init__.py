@@ -1,4 +1,5 @@
 from .colour import (
+    equal_energy as equal_energy,
     LUMINOUS_EFFICACY as LUMINOUS_EFFICACY,
     srgb as srgb,
     srgb_from_xyz as srgb_from_xyz,

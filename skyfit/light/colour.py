@@ -9,6 +9,8 @@ from jaxtyping import Array, ArrayLike, Float, Real
 
 # SI 2019: luminous efficacy of 540 THz radiation
 LUMINOUS_EFFICACY = 683.0  # lm W^-1
+# integral of y of the CIE 1931 observer, 360-830 nm, 1 nm as in `_observer`; those of x and z differ by 8e-5, 3e-4
+_OBSERVER_AREA = 106.856915  # nm
 
 # IEC 61966-2-1:1999, linear sRGB from XYZ with Y = 1 for white
 _SRGB_FROM_XYZ = np.array(
@@ -73,6 +75,19 @@ def xyz_from_xyY(chromaticity_luminance: Float[Array, "... 3"]) -> Float[Array, 
     luminance = chromaticity_luminance[..., 2]
     scale = luminance / y
     return jnp.stack([x * scale, luminance, (1.0 - x - y) * scale], axis=-1)
+
+
+def equal_energy(
+    luminance: Float[Array, "*direction"], wavelength_nm: Real[Array | np.ndarray, " wavelength"]
+) -> Float[Array, "*direction wavelength"]:
+    r"""The flat spectrum of a luminance, $L_\lambda = Y / (683 \int \bar y\, d\lambda)$.
+
+    **Arguments:** `luminance` cd m^-2; `wavelength_nm` nm. **Returns:** W m^-2 sr^-1 nm^-1, `[..., wavelength]`.
+    **Valid:** everywhere; the colour is that of illuminant E, x = y = 1/3, if the wavelengths cover the visible.
+    **Source:** CIE 015:2018.
+    """
+    flat = luminance / (LUMINOUS_EFFICACY * _OBSERVER_AREA)
+    return jnp.broadcast_to(flat[..., None], (*flat.shape, wavelength_nm.shape[0]))
 
 
 def srgb(

@@ -8,3 +8,4 @@ from .directions import (
 )
 from .samples import Sky as Sky
 from .scene import Scene as Scene
+from .sun import short_sun_position as short_sun_position, solar_time as solar_time

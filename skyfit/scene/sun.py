@@ -1,0 +1,63 @@
+"""Where the sun stands, by the short formulas of Preetham, Shirley and Smits: for JAX, to be differentiated."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float, Real
+
+from ..numerics import safe_sqrt
+
+
+def solar_time(
+    standard_time: Float[ArrayLike, "..."],
+    day_of_year: Real[ArrayLike, "..."],
+    longitude_west: Float[ArrayLike, "..."],
+    meridian_west: Float[ArrayLike, "..."],
+) -> Float[Array, "..."]:
+    r"""Solar time by the clock.
+
+    $t = t_s + 0.170 \sin\frac{4\pi(J - 80)}{373} - 0.129 \sin\frac{2\pi(J - 8)}{355} + \frac{12 (SM - L)}{\pi}$
+
+    **Arguments:** `standard_time`, hours after midnight on the clock of the time zone, without daylight saving;
+    `day_of_year` J, 1 to 366; `longitude_west` L of the place and `meridian_west` SM of the time zone (15 degrees an
+    hour), radians, positive WEST; shapes that broadcast. **Returns:** hours; 12 is noon.
+    **Valid:** within about 1 minute.
+    **Source:** Preetham 1999, A.6, which does not say which way longitudes count: only west-positive ones agree.
+    """
+    day = jnp.asarray(day_of_year)
+    spring = 0.170 * jnp.sin(4.0 * jnp.pi * (day - 80) / 373.0)
+    winter = 0.129 * jnp.sin(2.0 * jnp.pi * (day - 8) / 355.0)
+    return jnp.asarray(standard_time) + spring - winter + 12.0 / jnp.pi * (jnp.asarray(meridian_west) - longitude_west)
+
+
+def short_sun_position(
+    solar_hours: Float[ArrayLike, "..."],
+    day_of_year: Real[ArrayLike, "..."],
+    latitude: Float[ArrayLike, "..."],
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    r"""Zenith angle and azimuth of the sun without refraction, by formulas that fit on a line.
+
+    $\delta = 0.4093 \sin\frac{2\pi(J - 81)}{368}$,
+    $\cos\theta_s = \sin l \sin\delta - \cos l \cos\delta \cos\frac{\pi t}{12}$,
+    $\tan\phi_s = \frac{-\cos\delta \sin(\pi t / 12)}{-\cos l \sin\delta - \sin l \cos\delta \cos(\pi t / 12)}$
+    west of south.
+
+    Files and the command line use `skyfit.files.solar_position`, NREL's algorithm, good to 0.0003 degrees.
+
+    **Arguments:** `solar_hours` t as `solar_time` gives them; `day_of_year` J; `latitude` l, radians, north
+    positive; shapes that broadcast.
+    **Returns:** zenith angle; azimuth clockwise from north, in [0, 2 pi); radians.
+    **Valid:** everywhere, finite gradients; a sun in the zenith or nadir has azimuth 180 degrees. Against
+    NREL's algorithm at 18 places in 2023 the zenith angle is within 0.8 degrees (half of them within 0.09), the sun
+    no more than 0.85 degrees aside: 1.5 degrees of azimuth where it is 30 degrees from the zenith or more.
+    **Source:** Preetham 1999, A.6, which prints $\cos l \sin\delta$ without its minus and the arc tangent of a
+    quotient: at Ithaca, 27 May, 8:00 EST, 54.8 degrees east of south, where the sun stands 87.3. The azimuth is
+    turned here from west of south to the house's.
+    """
+    hour = jnp.pi / 12.0 * jnp.asarray(solar_hours)
+    declination = 0.4093 * jnp.sin(2.0 * jnp.pi * (jnp.asarray(day_of_year) - 81) / 368.0)
+    up = jnp.sin(latitude) * jnp.sin(declination) - jnp.cos(latitude) * jnp.cos(declination) * jnp.cos(hour)
+    south = -jnp.cos(latitude) * jnp.sin(declination) - jnp.sin(latitude) * jnp.cos(declination) * jnp.cos(hour)
+    west = -jnp.cos(declination) * jnp.sin(hour)
+    aside = south**2 + west**2
+    overhead = aside == 0.0
+    west_of_south = jnp.arctan2(jnp.where(overhead, 0.0, west), jnp.where(overhead, 1.0, south))
+    return jnp.arctan2(safe_sqrt(aside), up), jnp.mod(west_of_south + jnp.pi, 2.0 * jnp.pi)
