@@ -110,9 +110,9 @@ class AbstractAnalyticSky(eqx.Module):
         **Source:** Preetham 1999 eq. 4, A.2; IEC 61966-2-1:1999.
         """
         sun = jnp.asarray(sun)
-        sun_zenith = jnp.arctan2(safe_sqrt(jnp.square(sun[0]) + jnp.square(sun[1])), sun[2])
+        sun_zenith, scale, coefficients = _rows(self, turbidity, sun)
         self._check(turbidity, sun_zenith)
-        return pixels.linear_srgb(*pixels.colours(*_rows(self, turbidity, sun_zenith), *pixels.geometry(sun, view)))
+        return pixels.linear_srgb(*pixels.tristimulus(scale, coefficients, *pixels.geometry(sun, view)))
 
     def _seen(self, turbidity, scene: Scene):
         """Luminance, 0 where there is none, and chromaticity in the scene's directions."""
@@ -129,8 +129,11 @@ class AbstractAnalyticSky(eqx.Module):
 
 
 @jax.jit
-def _rows(sky: AbstractAnalyticSky, turbidity, sun_zenith) -> tuple[Float[Array, "3"], Float[Array, "3 parameter"]]:
-    """For Y, x and y: the zenith's value per unit of F there, and the coefficients of F."""
+def _rows(
+    sky: AbstractAnalyticSky, turbidity: Float[ArrayLike, ""], sun: Float[Array, "3"]
+) -> tuple[Float[Array, ""], Float[Array, "3"], Float[Array, "3 parameter"]]:
+    """The sun's zenith angle and, for Y, x and y, the zenith's value per unit of F there and F's coefficients."""
+    sun_zenith = jnp.arctan2(safe_sqrt(jnp.square(sun[0]) + jnp.square(sun[1])), sun[2])
     values, shapes = sky.zenith(turbidity, sun_zenith), sky.perez(turbidity, sun_zenith)
     scale = [value / shape.at_zenith(sun_zenith) for value, shape in zip(values, shapes, strict=True)]
-    return jnp.stack(scale), jnp.stack([shape.coefficients for shape in shapes])
+    return sun_zenith, jnp.stack(scale), jnp.stack([shape.coefficients for shape in shapes])
