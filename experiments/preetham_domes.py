@@ -16,8 +16,8 @@ from skyfit.scene import fisheye, unit_vectors
 
 
 TURBIDITIES = (2.0, 4.0, 8.0)
-# sun zenith in degrees, and the luminance in cd m^-2 that is white
-SUNS = ((30.0, 25e3), (80.0, 10e3))
+# sun zenith in degrees, and the luminance of a white that is just not dimmed, cd m^-2
+SUNS = ((30.0, 40e3), (80.0, 20e3))
 SIZE = 480
 
 
@@ -36,8 +36,10 @@ def main():
     for axes_row, (sun_deg, white) in zip(grid, SUNS, strict=True):
         sun = np.radians(sun_deg), np.radians(135.0)
         for axes, turbidity in zip(axes_row, TURBIDITIES, strict=True):
-            linear = model.rgb(turbidity, unit_vectors(*sun), view)
-            pixels = np.clip(np.moveaxis(np.asarray(srgb_from_linear(linear / white)), 0, -1), 0.0, 1.0)
+            linear = np.maximum(model.rgb(turbidity, unit_vectors(*sun), view), 0.0)
+            # too bright for the screen: dimmed, its colour kept
+            shown = linear / np.maximum(np.max(linear, axis=0), white)
+            pixels = np.clip(np.moveaxis(np.asarray(srgb_from_linear(shown)), 0, -1), 0.0, 1.0)
             draw_dome(axes, pixels, sun, compass=False)
             axes.set_title(f"turbidity {turbidity:g}, sun zenith {sun_deg:g}°", fontsize=9)
     figure.savefig(given.out, dpi=110)
