@@ -69,7 +69,7 @@ def test_values_are_the_papers_worked_by_hand(turbidity, sun, zenith, azimuth, d
     model, tolerance = Preetham.published(), 1e-10 if double else 2e-5
     np.testing.assert_allclose(model.xyz(turbidity, at)[0], expected, rtol=tolerance)
     sun_vector, view = vectors(at)
-    # the fast path replaces the arc cosine by a polynomial, right to 2e-8 rad
+    # the fast path replaces the arc cosine by a polynomial, right to 3e-8 rad
     linear = np.array(SRGB_FROM_XYZ) @ expected
     np.testing.assert_allclose(model.rgb(turbidity, sun_vector, view)[:, 0], linear, rtol=1e-7 if double else 5e-5)
     # the paper's Table 2 at 450 and 650 nm, and its M1 and M2
@@ -192,7 +192,7 @@ def test_the_angle_from_the_sun_keeps_its_digits(double):
     view, sun = jnp.asarray(view), jnp.asarray([0.0, 0.0, 1.0])
     angle, slant = pixels.geometry(sun, view)
     if double:
-        np.testing.assert_allclose(angle, away, atol=2e-8)
+        np.testing.assert_allclose(angle, away, atol=3e-8)
     else:
         np.testing.assert_allclose(angle, away, rtol=1e-6, atol=1e-6)
     lit = np.cos(away) > 0.01

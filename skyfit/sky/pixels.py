@@ -21,11 +21,10 @@ def _polynomial(function, degree: int, end: float) -> tuple[float, ...]:
     return tuple(interpolant.convert(kind=np.polynomial.Polynomial).coef[::-1].tolist())
 
 
-# arcsin(sqrt(m)) / sqrt(m), m <= 1/2; the angle from the sun is then right to 2e-8
+# arcsin(sqrt(m)) / sqrt(m), m <= 1/2; the angle from the sun is then right to 3e-8 rad
 _ARCSINE = _polynomial(lambda m: np.arcsin(np.sqrt(m)) / np.sqrt(m), 7, 0.5)
-# sin(sqrt(q))^2 / q, sqrt(q) <= pi / 2; the square is then right to 1e-9
+# sin(sqrt(q))^2 / q, sqrt(q) <= pi / 2; the square is then right to 3e-8
 _SQUARED_SINE = _polynomial(lambda q: np.square(np.sin(np.sqrt(q))) / q, 5, 0.25 * np.pi**2)
-
 
 _BELOW = -1.0
 _SMALLEST_Y = 1e-6  # as in `xyz_from_xyY`
