@@ -24,10 +24,18 @@ from .atmosphere import (
 from .draw import plot as plot
 from .files import load as load, read as read, save as save, write_sky as write_sky
 from .fit import Fit as Fit, invert as invert, PARAMETERS as PARAMETERS, predict as predict, refit as refit
-from .light import srgb as srgb, xyY as xyY, xyz as xyz
-from .scene import Directions as Directions, hemisphere as hemisphere, Scene as Scene, Sky as Sky
+from .light import daylight as daylight, srgb as srgb, srgb_from_linear as srgb_from_linear, xyY as xyY, xyz as xyz
+from .scene import (
+    Directions as Directions,
+    fisheye as fisheye,
+    hemisphere as hemisphere,
+    Scene as Scene,
+    Sky as Sky,
+    unit_vectors as unit_vectors,
+)
 from .sky import (
     CIEClear as CIEClear,
+    ExtendedPreetham as ExtendedPreetham,
     Intermediate as Intermediate,
     Perez as Perez,
     Preetham as Preetham,
