@@ -148,6 +148,9 @@ def refit(
     report(2, stages)
     published = Preetham.published()
     model, results = shape.first(published), {}
+    if linear:
+        ends = float(hazes.min()), float(hazes.max())
+        model = dataclasses.replace(model, lowest_turbidity=ends[0], fitted_turbidity=ends)
     for q, name in enumerate("Yxy"):
         solution = fit_joint(shape, q, shape.start(q, skies.target[q], sun, haze), skies.joint(q))
         model = shape.put(model, q, solution.value)
