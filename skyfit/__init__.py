@@ -25,10 +25,13 @@ from .light import srgb as srgb, xyY as xyY, xyz as xyz
 from .scene import Directions as Directions, hemisphere as hemisphere, Scene as Scene, Sky as Sky
 from .sky import Perez as Perez, Preetham as Preetham
 from .transport import (
+    AerialPerspective as AerialPerspective,
+    constant_ambient as constant_ambient,
     DoubleScattering as DoubleScattering,
     Fluxes as Fluxes,
     OrdersOfScattering as OrdersOfScattering,
     Path as Path,
+    scattered_light as scattered_light,
     Shells as Shells,
     SingleScattering as SingleScattering,
     Uniform as Uniform,
