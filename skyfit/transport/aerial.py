@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from ..atmosphere import AbstractConstituent, Atmosphere, Exponential
 from ..numerics import exp_mean, phi_functions
 from ..scene import Scene
-from .solver import Geometry, Optics, optics, Path
+from .solver import Optics, optics, Path
 
 
 # m, objects further off are taken to be here

@@ -15,6 +15,8 @@ from .single import dome
 
 # views at once: what they need in memory stays under 100 MB
 _BATCH = 64
+# W m^-2 sr^-1 nm^-1; what is darker counts as black
+_DARK = 1e-30
 
 
 def scattered_light(
@@ -27,18 +29,19 @@ def scattered_light(
 ) -> Float[Array, "constituent direction wavelength"]:
     r"""The mean of all light around a point, weighted by each constituent's phase function toward the eye.
 
-    $P_i(\theta, \phi) = E_{sun}\, p_i(\gamma) + \int_{sky} L\, p_i\, d\omega + \frac{\rho E}{\pi} \int_{ground} p_i\, d\omega$;
-    the paper's $S^0_i$ is $\beta_i P_i$.
+    $P_i = E_{sun}\, p_i(\gamma) + \int_{sky} L\, p_i\, d\omega + \frac{\rho E}{\pi} \int_{ground} p_i\, d\omega$; the
+    paper's $S^0_i$ is $\beta_i P_i$.
 
     **Arguments:** `radiance` of a scene's views, W m^-2 sr^-1 nm^-1, such as
     `lambda sky: solver.radiance(atmosphere, sky)`; `sunlight` at the ground normal to its beam, W m^-2 nm^-1
     (`fluxes(...).direct` over the cosine of the sun's zenith angle); `rings` of the quadrature over the sky,
-    with twice as many azimuths; `grid`, zenith and azimuth nodes of a table for what sky and ground give, through
-    which the scene's views are interpolated (the sun's part is exact): for pictures.
+    with twice as many azimuths; `grid`, for pictures, zenith and azimuth nodes of a table for what sky and ground
+    give, between which its logarithm is interpolated; the sun's part is exact.
     **Returns:** a row for each constituent that scatters, W m^-2 sr^-1 nm^-1.
     **Valid:** the light at the ground stands for that at every height, as in the paper, and the ground (Lambertian, its
-    albedo the atmosphere's; the paper has none: albedo 0) is lit as at the eye. Errors, 24 rings:
-    see experiments/results/aerial.json.
+    albedo the atmosphere's; the paper has none: albedo 0) is lit as at the eye. 24 rings are within 1e-6 for
+    a Henyey-Greenstein g of 0.7, 5e-3 for 0.85 and 2e-3 for Bullrich's table, worst in the aureole of a low sun; a
+    grid of (16, 17) adds 4e-3, 6e-2 and 2e-3, one of (24, 25) 3e-4, 2e-2 and 8e-4.
     **Source:** Preetham 1999, sec. 4.2.
     """
     scatterers = tuple(c for c in atmosphere.constituents if c.phase is not None)
@@ -66,7 +69,8 @@ def scattered_light(
     else:
         nodes, weights = _table(scene, grid)
         values = jax.lax.map(toward, nodes, batch_size=_BATCH)
-        diffuse = jnp.einsum("dn,ncw->cdw", weights, values)
+        logarithm = jnp.log(jnp.maximum(values, _DARK))
+        diffuse = jnp.exp(jnp.einsum("dn,ncw->cdw", weights, logarithm))
     half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)
     return diffuse + _phases(scatterers, half, scene) * sunlight[None, None]
 
@@ -81,7 +85,7 @@ def _phases(scatterers: tuple[AbstractConstituent, ...], half, scene: Scene):
 def _table(scene: Scene, grid: tuple[int, int]):
     """Directions `(zenith, azimuth)` of the table's nodes and the weights `[direction, node]` of the scene's views.
 
-    Chebyshev's polynomials in the zenith angle, Fourier's in the azimuth: the scattered light is smooth.
+    Chebyshev's polynomials in the zenith angle, Fourier's in the azimuth from the sun.
     """
     zeniths, azimuths = grid
     if zeniths < 2 or azimuths < 3 or azimuths % 2 == 0:
