@@ -1,11 +1,15 @@
 from .colour import (
     LUMINOUS_EFFICACY as LUMINOUS_EFFICACY,
+    observer_weights as observer_weights,
     srgb as srgb,
+    srgb_from_linear as srgb_from_linear,
+    SRGB_FROM_XYZ as SRGB_FROM_XYZ,
     srgb_from_xyz as srgb_from_xyz,
     xyY as xyY,
     xyz as xyz,
     xyz_from_xyY as xyz_from_xyY,
 )
+from .daylight import daylight as daylight
 from .solar import (
     earth_sun_factor as earth_sun_factor,
     extraterrestrial_irradiance as extraterrestrial_irradiance,

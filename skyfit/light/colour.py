@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float, Real
 LUMINOUS_EFFICACY = 683.0  # lm W^-1
 
 # IEC 61966-2-1:1999, linear sRGB from XYZ with Y = 1 for white
-_SRGB_FROM_XYZ = np.array(
+SRGB_FROM_XYZ = np.array(
     [
         [3.2406, -1.5372, -0.4986],
         [-0.9689, 1.8758, 0.0415],
@@ -35,7 +35,7 @@ def xyz(
     radiance is held constant, as ASTM E308 does; what lies outside 360-830 nm does not count.
     **Source:** CIE 015:2018, observer from colour-science (1 nm).
     """
-    weights = jnp.asarray(_observer_weights(wavelength_nm), dtype=radiance.dtype)
+    weights = jnp.asarray(observer_weights(wavelength_nm), dtype=radiance.dtype)
     return jnp.einsum("...w,wc->...c", radiance, weights, precision="highest")
 
 
@@ -91,7 +91,7 @@ def srgb(
 def srgb_from_xyz(tristimulus: Float[Array, "... 3"], exposure: Float[ArrayLike, ""]) -> Float[Array, "... 3"]:
     r"""Encoded sRGB pixel of tristimulus values.
 
-    $c = M (X, Y, Z) \cdot$ exposure; $12.92 c$ up to 0.0031308, $1.055 c^{1/2.4} - 0.055$ beyond.
+    `srgb_from_linear` of $c = M (X, Y, Z) \cdot$ exposure.
 
     **Arguments:** `tristimulus` cd m^-2, `[..., 3]`; `exposure` in 1 / (cd m^-2).
     **Returns:** `[..., 3]` red, green, blue; 0 to 1 on the screen, not clipped: a colour out of
@@ -99,17 +99,29 @@ def srgb_from_xyz(tristimulus: Float[Array, "... 3"], exposure: Float[ArrayLike,
     **Valid:** everywhere; a negative component stays on the straight part of the curve.
     **Source:** IEC 61966-2-1:1999.
     """
-    matrix = jnp.asarray(_SRGB_FROM_XYZ, dtype=tristimulus.dtype)
-    linear = exposure * jnp.einsum("...w,cw->...c", tristimulus, matrix, precision="highest")
+    matrix = jnp.asarray(SRGB_FROM_XYZ, dtype=tristimulus.dtype)
+    return srgb_from_linear(exposure * jnp.einsum("...w,cw->...c", tristimulus, matrix, precision="highest"))
+
+
+def srgb_from_linear(linear: Float[Array | np.ndarray, "..."]) -> Float[Array, "..."]:
+    r"""The transfer function of sRGB, $12.92 c$ up to 0.0031308, $1.055 c^{1/2.4} - 0.055$ beyond.
+
+    **Arguments:** `linear` red, green, blue, 1 for white, in any order. **Returns:** the same, encoded.
+    **Valid, source:** as `srgb_from_xyz`.
+    """
     bright = linear > _SRGB_LINEAR_END
     power = 1.055 * jnp.where(bright, linear, 1.0) ** (1.0 / 2.4) - 0.055
     return jnp.where(bright, power, 12.92 * linear)
 
 
-def _observer_weights(wavelength_nm) -> np.ndarray:
-    """683 times the integral of every wavelength's hat function with the observer, `[:, 3]`.
+def observer_weights(
+    wavelength_nm: Real[Array | np.ndarray, " wavelength"],
+) -> Float[np.ndarray, "wavelength 3"]:
+    """683 times the integral of every wavelength's hat function with the observer.
 
     Both are piecewise linear: between the union of their nodes Simpson's rule is exact.
+
+    **Arguments, valid, source:** as `xyz`. **Returns:** float64; `radiance @ weights` are X, Y, Z in cd m^-2.
     """
     grid = np.asarray(wavelength_nm, dtype=np.float64)
     if grid.size < 2 or not np.all(np.diff(grid) > 0.0):

@@ -3,9 +3,12 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..numerics import safe_sqrt
+
+
+LOWEST_VISIBLE = -1e-6  # cosine of a view that still counts as horizontal
 
 
 def as_float(value):
@@ -37,6 +40,11 @@ def angle_between(zenith_1, zenith_2, azimuth_difference):
     """
     half = haversine(zenith_1, zenith_2, azimuth_difference)
     return 2.0 * jnp.arctan2(safe_sqrt(half), safe_sqrt(1.0 - half))
+
+
+def above_horizon(zenith: Float[Array, " direction"]) -> Bool[Array, " direction"]:
+    """Whether a view meets the sky; the horizontal one does, whatever the rounding of pi / 2."""
+    return jnp.cos(zenith) > LOWEST_VISIBLE
 
 
 class Directions(eqx.Module):

@@ -3,8 +3,15 @@
 from abc import abstractmethod
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float
 
+from ..light import daylight, xyz_from_xyY
+from ..numerics import safe_sqrt
+from ..scene import above_horizon, angle_between, Scene
+from . import pixels
 from .perez import Perez
 
 
@@ -59,3 +66,71 @@ class AbstractAnalyticSky(eqx.Module):
             value * perez.ratio(theta, gamma, theta_sun) for value, perez in zip(zenith, shape, strict=True)
         )
         return luminance, x, y
+
+    def xyz(self, turbidity: Float[ArrayLike, ""], scene: Scene) -> Float[Array, "direction 3"]:
+        """Tristimulus values of the sky in the scene's directions; of its wavelengths and its sun's light none is used.
+
+        **Arguments:** `turbidity`, dimensionless; `scene`.
+        **Returns:** X, Y, Z in cd m^-2 for the CIE 1931 observer, `[direction, 3]`; 0 below the horizon.
+        **Valid:** as `radiance`. **Source:** as `luminance_chromaticity`.
+        """
+        luminance, x, y = self._seen(turbidity, scene)
+        return xyz_from_xyY(jnp.stack([x, y, luminance], axis=-1))
+
+    def radiance(self, turbidity: Float[ArrayLike, ""], scene: Scene) -> Float[Array, "direction wavelength"]:
+        r"""Spectral radiance of the sky: daylight of its chromaticity, with its luminance.
+
+        $L(\lambda) = Y S_D(\lambda; x, y) / (683 \int S_D \bar y d\lambda)$; see `skyfit.light.daylight`.
+
+        **Arguments:** `turbidity`, dimensionless; `scene`, whose `solar_irradiance` is not used: the luminance is
+        absolute, and knows no Earth-Sun distance and no other sun.
+        **Returns:** W m^-2 sr^-1 nm^-1, `[direction, wavelength]`; 0 below the horizon.
+        **Valid:** 300-830 nm, and where `valid` says so. A turbidity that is no tracer and that `check_range`
+        refuses is a `ValueError`, and so for the sun beside it; values traced by jit, vmap or grad raise nothing: ask
+        `valid`. Outside the range all is finite, and 0 where the luminance is negative.
+        **Source:** Preetham 1999 eq. 4, A.2, A.5.
+        """
+        luminance, x, y = self._seen(turbidity, scene)
+        return luminance[:, None] * daylight(x, y, scene.wavelength_nm)
+
+    def rgb(
+        self,
+        turbidity: Float[ArrayLike, ""],
+        sun: Float[ArrayLike, "3"],
+        view: Float[Array, "3 ..."],
+    ) -> Float[Array, "3 ..."]:
+        r"""The sky as linear sRGB in many directions, fast: for images, see `skyfit.scene.fisheye`.
+
+        **Arguments:** `turbidity`, dimensionless; `sun` and `view`, unit vectors east, north, up, the components first.
+        **Returns:** red, green, blue in cd m^-2, `[3, direction]`: white of that luminance has three equal values.
+        Times an exposure and through `skyfit.light.srgb_from_linear` it is a pixel. Not clipped: a colour outside the
+        screen's range has a negative component. 0 below the horizon, z < -1e-6.
+        **Valid:** as `radiance`; float32 within 1e-5 of the largest component, against `xyz` in float64. Fast
+        outside jit, where it runs as three programs; within another one, it is right and slower.
+        **Source:** Preetham 1999 eq. 4, A.2; IEC 61966-2-1:1999.
+        """
+        sun = jnp.asarray(sun)
+        sun_zenith = jnp.arctan2(safe_sqrt(jnp.square(sun[0]) + jnp.square(sun[1])), sun[2])
+        self._check(turbidity, sun_zenith)
+        return pixels.linear_srgb(*pixels.colours(*_rows(self, turbidity, sun_zenith), *pixels.geometry(sun, view)))
+
+    def _seen(self, turbidity, scene: Scene):
+        """Luminance, 0 where there is none, and chromaticity in the scene's directions."""
+        self._check(turbidity, scene.sun_zenith)
+        view = scene.view
+        gamma = angle_between(view.zenith, scene.sun_zenith, view.azimuth - scene.sun_azimuth)
+        luminance, x, y = self.luminance_chromaticity(turbidity, scene.sun_zenith, view.zenith, gamma)
+        return jnp.where(above_horizon(view.zenith), jnp.maximum(luminance, 0.0), 0.0), x, y
+
+    def _check(self, turbidity, sun_zenith) -> None:
+        """`check_range` of what can be seen of the values while a program is traced."""
+        if not isinstance(turbidity, Tracer):
+            self.check_range(turbidity, 0.0 if isinstance(sun_zenith, Tracer) else sun_zenith)
+
+
+@jax.jit
+def _rows(sky: AbstractAnalyticSky, turbidity, sun_zenith) -> tuple[Float[Array, "3"], Float[Array, "3 parameter"]]:
+    """For Y, x and y: the zenith's value per unit of F there, and the coefficients of F."""
+    values, shapes = sky.zenith(turbidity, sun_zenith), sky.perez(turbidity, sun_zenith)
+    scale = [value / shape.at_zenith(sun_zenith) for value, shape in zip(values, shapes, strict=True)]
+    return jnp.stack(scale), jnp.stack([shape.coefficients for shape in shapes])

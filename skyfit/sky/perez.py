@@ -6,9 +6,9 @@ from jaxtyping import Array, ArrayLike, Float
 
 
 # cos(89.43 deg): from there down the sky keeps one value per angle from the sun
-_LOWEST_COSINE = 0.01
+LOWEST_COSINE = 0.01
 # exp(20) = 5e8: the square of a product of two of them is still a float32
-_LARGEST_EXPONENT = 20.0
+LARGEST_EXPONENT = 20.0
 _SMALLEST_ZENITH = 1e-6
 
 
@@ -30,9 +30,9 @@ def perez_distribution(
     **Source:** Perez et al. 1993 eq. 1; Preetham 1999 eq. 3.
     """
     a, b, c, d, e = coefficients
-    cosine = jnp.maximum(jnp.cos(theta), _LOWEST_COSINE)
-    horizon = 1.0 + a * jnp.exp(jnp.minimum(b / cosine, _LARGEST_EXPONENT))
-    circumsolar = c * jnp.exp(jnp.minimum(d * jnp.asarray(gamma), _LARGEST_EXPONENT))
+    cosine = jnp.maximum(jnp.cos(theta), LOWEST_COSINE)
+    horizon = 1.0 + a * jnp.exp(jnp.minimum(b / cosine, LARGEST_EXPONENT))
+    circumsolar = c * jnp.exp(jnp.minimum(d * jnp.asarray(gamma), LARGEST_EXPONENT))
     return horizon * (1.0 + circumsolar + e * jnp.square(jnp.cos(gamma)))
 
 
@@ -89,7 +89,10 @@ class Perez(eqx.Module):
         is taken as 1e-6 with its sign, so that the result is finite, if large.
         **Source:** Preetham 1999 eq. 4.
         """
+        return self.relative(theta, gamma) / self.at_zenith(theta_sun)
+
+    def at_zenith(self, theta_sun: Float[ArrayLike, ""]) -> Float[Array, ""]:
+        """F(0, theta_sun), the unit of `ratio`, kept away from 0 as it says."""
         zenith = self.relative(jnp.zeros_like(theta_sun), theta_sun)
         smallest = jnp.where(zenith < 0.0, -_SMALLEST_ZENITH, _SMALLEST_ZENITH)
-        vanishing = jnp.abs(zenith) < _SMALLEST_ZENITH
-        return self.relative(theta, gamma) / jnp.where(vanishing, smallest, zenith)
+        return jnp.where(jnp.abs(zenith) < _SMALLEST_ZENITH, smallest, zenith)

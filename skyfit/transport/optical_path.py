@@ -196,11 +196,6 @@ def slant_column(
     return jnp.where(cosine >= 0.0, outward, jnp.maximum(through, outward))
 
 
-def above_horizon(zenith: Float[Array, " direction"]) -> Bool[Array, " direction"]:
-    """Whether a view meets the sky; the horizontal one does, whatever the rounding of pi / 2."""
-    return jnp.cos(zenith) > -1e-6
-
-
 def tangent_height(height, cosine):
     """Height of the point of a ray's line that is nearest to the Earth's centre, m, negative inside."""
     sine = safe_sqrt(1.0 - cosine**2)

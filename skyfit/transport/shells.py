@@ -9,8 +9,8 @@ from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractConstituent, Atmosphere
 from ..numerics import exp_mean, gauss_legendre, safe_sqrt
-from ..scene import haversine, Scene
-from .optical_path import above_horizon, EARTH_RADIUS, height_gain, length_scale, MIN_COSINE, slant_column
+from ..scene import above_horizon, haversine, Scene
+from .optical_path import EARTH_RADIUS, height_gain, length_scale, MIN_COSINE, slant_column
 from .single import fluxes_by_quadrature, scatterer_indices
 from .solver import AbstractSolver, check_geometry, check_on_ground, Fluxes, Geometry, optics, Path
 

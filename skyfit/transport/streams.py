@@ -9,9 +9,9 @@ from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractConstituent, Atmosphere
 from ..numerics import associated_legendre, exp_mean, gauss_legendre, phi1, phi_functions
-from ..scene import Scene
+from ..scene import above_horizon, Scene
 from .diffusion import diffusion
-from .optical_path import above_horizon, layer_airmass, slant_column, stream_paths, sunlit, TOP_OF_AIR
+from .optical_path import layer_airmass, slant_column, stream_paths, sunlit, TOP_OF_AIR
 from .single import scatterer_indices
 from .solver import Geometry, optics
 

@@ -8,8 +8,7 @@ from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractConstituent, Atmosphere
 from ..numerics import phi1
-from ..scene import haversine, relative_airmass, Scene
-from .optical_path import above_horizon
+from ..scene import above_horizon, haversine, relative_airmass, Scene
 from .single import fluxes_by_quadrature
 from .solver import AbstractSolver, check_on_ground, Fluxes, Geometry, optics, Path
 

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 
 from ..atmosphere import Atmosphere
 from ..numerics import chebyshev_nodes, chebyshev_weights, hat_weights
-from ..scene import Directions, haversine, Scene
-from .optical_path import above_horizon, exponential_nodes, slant_column
+from ..scene import above_horizon, Directions, haversine, Scene
+from .optical_path import exponential_nodes, slant_column
 from .solver import AbstractSolver, check_on_ground, Geometry, optics
 
 

@@ -7,9 +7,8 @@ from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractProfile
 from ..numerics import safe_sqrt
-from ..scene import haversine, Scene
+from ..scene import above_horizon, haversine, Scene
 from .optical_path import (
-    above_horizon,
     EARTH_RADIUS,
     graded_nodes,
     height_gain,
