@@ -39,7 +39,8 @@ class AerialPerspective(eqx.Module):
     **Valid:** constituents that scatter must have `Exponential` profiles, else `ValueError` (fog: `Shells`). What only
     absorbs is left out where its profile is another: ozone's layer is 1e-7 m^-1 near the ground at 600 nm, 1.5 % over
     150 km. Flat Earth: a view down ends at the ground, and an observer on it sees nothing below the horizon.
-    Against adaptive quadrature, each constituent's integral alone, in float64: experiments/results/aerial.json.
+    The presets' errors are those of each constituent's integral alone against adaptive quadrature, T 1-10, eye 0-8 km,
+    to 150 km, in either precision: experiments/aerial_perspective.py.
     **Source:** Preetham 1999, sec. 4, eq. 5-9. The paper's K lacks a sign (eq. 7; transmittances above 1), its eq. 10
     has $e^{-H_1}$ for $H_1$, and its cubic in $u_1$ (A.4) with division by $K^4$ and $\cos\theta$ is 3 % off straight
     up at 5 km, useless at 20 km and in single precision.
@@ -85,7 +86,7 @@ class AerialPerspective(eqx.Module):
         if not constituents:
             clear = jnp.zeros((distance.shape[0], scene.wavelength_nm.shape[0]))
             return Path(clear + 1.0, clear)
-        scale = jnp.stack([c.profile.scale_height for c in constituents])
+        scale = jnp.stack([c.profile.scale_height for c in constituents if isinstance(c.profile, Exponential)])
         depth = optics(constituents, scene.wavelength_nm)
         coefficient = Optics(depth.extinction / scale[:, None], depth.scattering / scale[:, None])
         whole = _column(height, height + distance * cosine, distance, scale)
