@@ -37,7 +37,7 @@ class AerialPerspective(eqx.Module):
     absorption) for any number of pieces.
 
     **Valid:** constituents that scatter must have `Exponential` profiles, else `ValueError` (fog: `Shells`). What only
-    absorbs is left out where its profile is another: ozone's layer is 1e-7 m^-1 near the ground at 600 nm, 1.5 % over
+    absorbs is left out where its profile is another: ozone's layer is 1.3e-7 m^-1 near the ground at 600 nm, 2 % over
     150 km. Flat Earth: a view down ends at the ground, and an observer on it sees nothing below the horizon.
     The presets' errors are those of each constituent's integral alone against adaptive quadrature, T 1-10, eye 0-8 km,
     to 150 km, in either precision: experiments/aerial_perspective.py.
