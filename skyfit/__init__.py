@@ -42,10 +42,13 @@ from .sky import (
     Sunlight as Sunlight,
 )
 from .transport import (
+    AerialPerspective as AerialPerspective,
+    constant_ambient as constant_ambient,
     DoubleScattering as DoubleScattering,
     Fluxes as Fluxes,
     OrdersOfScattering as OrdersOfScattering,
     Path as Path,
+    scattered_light as scattered_light,
     Shells as Shells,
     SingleScattering as SingleScattering,
     Uniform as Uniform,

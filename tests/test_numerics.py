@@ -1,5 +1,7 @@
 """The ground floor's guarded functions, quadrature, Legendre functions and interpolation."""
 
+import math
+
 import hypothesis
 import hypothesis.strategies as st
 import jax
@@ -68,6 +70,20 @@ def test_phi_functions_and_their_derivatives_keep_their_digits(dtype, tolerance)
             # a derivative divides once more by x: some digits more are lost at the switch
             np.testing.assert_allclose(result, expected, rtol=tolerance * (1 if i < 2 else 30), err_msg=str(i))
             assert result.dtype == dtype
+
+
+@pytest.mark.parametrize("dtype, tolerance", [("float32", 4e-6), ("float64", 1e-14)])
+def test_the_third_phi_function_keeps_its_digits(dtype, tolerance):
+    """From the recurrence in longdouble where it does not cancel, from the series elsewhere."""
+    with jax.enable_x64(dtype == "float64"):
+        x = np.asarray(ARGUMENTS, np.longdouble)
+        series = sum((-x) ** k / math.factorial(k + 3) for k in range(25))
+        far = np.where(np.abs(x) > 2.0, x, 1.0)
+        exact = np.where(np.abs(x) > 2.0, (0.5 - (1.0 + np.expm1(-far) / far) / far) / far, series)
+        three = phi_functions(jnp.asarray(ARGUMENTS, dtype), 3)
+        np.testing.assert_allclose(three[2], np.asarray(exact, float), rtol=tolerance)
+        for one, other in zip(three, phi_functions(jnp.asarray(ARGUMENTS, dtype)), strict=False):
+            np.testing.assert_allclose(one, other, rtol=10 * tolerance)
 
 
 def test_phi_functions_keep_the_rank_and_survive_jit():

@@ -1,5 +1,7 @@
 """Functions whose textbook form cancels or divides by zero; inputs are guarded, so gradients stay finite."""
 
+import math
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -7,13 +9,13 @@ from jaxtyping import Array, Float
 _SERIES_LIMIT = 0.5
 
 
-def phi_functions(x: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    r"""$\varphi_1(x) = (1 - e^{-x}) / x$ and $\varphi_2(x) = (x - 1 + e^{-x}) / x^2$, all digits kept.
+def phi_functions(x: Float[Array, "..."], count: int = 2) -> tuple[Float[Array, "..."], ...]:
+    r"""$\varphi_1(x) = (1 - e^{-x}) / x$ and $\varphi_{k+1}(x) = (1/k! - \varphi_k(x)) / x$.
 
-    The means of $e^{-xt}$ and of $(1 - t) e^{-xt}$ over $t \in [0, 1]$.
+    The means of $e^{-xt}$ times $(1 - t)^{k-1} / (k-1)!$ over $t \in [0, 1]$, all digits kept.
 
-    **Arguments:** `x`, dimensionless, any shape.
-    **Returns:** two arrays of that shape; 1 and 1/2 at x = 0.
+    **Arguments:** `x`, dimensionless, any shape; `count`, how many of them, 2 or 3.
+    **Returns:** `count` arrays of that shape; 1, 1/2 and 1/6 at x = 0.
     **Valid:** x > -80 in float32; a series takes over near 0, so values and gradients keep all digits.
     **Source:** Hochbruck & Ostermann 2010, Exponential integrators, eq. 2.10.
     """
@@ -21,11 +23,15 @@ def phi_functions(x: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Ar
     near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
     series = jnp.ones_like(x)
     for k in range(7 if x.dtype == jnp.float32 else 13, 0, -1):
-        series = 1.0 - near / (k + 2) * series
-    near_second = 0.5 * series
-    far_first = -jnp.expm1(-far) / far
-    first = jnp.where(small, 1.0 - near * near_second, far_first)
-    return first, jnp.where(small, near_second, (1.0 - far_first) / far)
+        series = 1.0 - near / (k + count) * series
+    # the series is that of the last one; those before it follow without cancellation
+    values = [series / math.factorial(count)]
+    for k in range(count - 1, 0, -1):
+        values.insert(0, 1.0 / math.factorial(k) - near * values[0])
+    beyond = [-jnp.expm1(-far) / far]
+    for k in range(1, count):
+        beyond.append((1.0 / math.factorial(k) - beyond[-1]) / far)
+    return tuple(jnp.where(small, n, f) for n, f in zip(values, beyond, strict=True))
 
 
 def phi1(x: Float[Array, "..."]) -> Float[Array, "..."]:
