@@ -21,6 +21,7 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
+import equinox as eqx  # noqa: E402
 import numpy as np  # noqa: E402
 from scipy.optimize import least_squares, minimize_scalar  # noqa: E402
 
@@ -143,7 +144,7 @@ def measured(path, models) -> dict:
     factor = float(earth_sun_factor(147))
     record = {}
     for name, (model, low, high) in models.items():
-        answer = jax.jit(model.radiance)
+        answer = eqx.filter_jit(model.radiance)
         turbidity, spectral, luminance, bright = [], [], [], []
         for t in range(len(sky.time)):
             angles = np.degrees([sky.sun_zenith[t], sky.sun_azimuth[t]])
@@ -184,13 +185,13 @@ def ship(model, record) -> None:
     overall = record["held_out"]["overall"]["refitted"]
     with SHIPPED.open("w", encoding="utf-8", newline="") as file:
         file.write(
-            '# source: made by experiments/refit.py: skyfit.refit(form="extended") with OrdersOfScattering.normal() and\n'
-            "# skyfit's default atmosphere (Atmosphere.from_turbidity: Henyey-Greenstein haze g 0.7, albedo 0.95, Angstrom\n"
-            "# exponent 1.3, scale height 1.2 km; ozone 300 DU; ground albedo 0.1; ASTM G173 sun at 1 au)\n"
-            "# quantity: 0 Y (cd m^-2), 1 x, 2 y; number: u_0 to u_5 of skyfit.ExtendedPreetham; turbidity, sun_j: degrees\n"
-            "# of the Chebyshev polynomials\n"
-            f"# random held-out skies, view to 80, sun to 85 degrees: median luminance error {overall['luminance']:.2%}, "
-            f"95th percentile {overall['luminance_95']:.2%}, median xy distance {overall['chromaticity']:.4f}\n"
+            '# source: made by experiments/refit.py: skyfit.refit(form="extended"), OrdersOfScattering.normal(),\n'
+            "# skyfit's default atmosphere (Atmosphere.from_turbidity: Henyey-Greenstein haze, g 0.7, albedo 0.95,\n"
+            "# Angstrom exponent 1.3, scale height 1.2 km; ozone 300 DU; ground albedo 0.1; ASTM G173 sun at 1 au)\n"
+            "# quantity: 0 Y (cd m^-2), 1 x, 2 y; number: u_0 to u_5 of skyfit.ExtendedPreetham; turbidity, sun_j:\n"
+            "# degrees of the Chebyshev polynomials\n"
+            f"# held-out skies, view to 80, sun to 85 degrees: median luminance error {overall['luminance']:.2%}, "
+            f"95th percentile\n# {overall['luminance_95']:.2%}, median xy distance {overall['chromaticity']:.4f}\n"
         )
         writer = csv.writer(file, lineterminator="\n")
         coefficients = np.asarray(model.coefficients)

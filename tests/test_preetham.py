@@ -237,3 +237,14 @@ def test_float32_is_near_float64_and_vmap_is_the_loop():
             results.append(np.asarray(batch))
     assert results[0].dtype == np.float32 and results[1].dtype == np.float64
     np.testing.assert_allclose(*results, rtol=2e-4)
+
+
+def test_five_digits_round_to_the_four_that_are_printed_and_tame_the_zenith_of_haze():
+    with jax.enable_x64(True):
+        four, five = Preetham.published(), Preetham.published(digits=5)
+        for printed, finer in zip(jax.tree.leaves(four), jax.tree.leaves(five), strict=True):
+            # a five in the last place may round either way
+            assert np.abs(np.asarray(printed) - np.asarray(finer)).max() < 0.5001e-4 + 1e-9
+        np.testing.assert_array_equal(four.zenith_luminance, five.zenith_luminance)
+        (_, x, _), (_, finer_x, _) = (model.zenith(8.0, np.radians(80.0)) for model in (four, five))
+        assert 0.04 < abs(float(x) / float(finer_x) - 1.0) < 0.08

@@ -27,11 +27,12 @@ class ExtendedPreetham(AbstractAnalyticSky):
     each of six numbers of each quantity is a Chebyshev series in $\log T$ and the square of the sun's zenith angle,
     $u_k = \sum_{ij} c_{kij} T_i(2 \log_{10} T - 1) T_j(2 (\theta_s / 92^\circ)^2 - 1)$, and
     $1 + A e^{B / \cos\theta} = 1 + (e^{u_0} - 1) e^{B (1 / \cos\theta - 1)}$, $B = -e^{u_1}$, $C = s(u_2)$,
-    $D = -e^{u_3}$, $E = s(u_4)$, zenith value $e^{u_5}$, with s a smooth map to numbers above -0.45. So the sky is
+    $D = -e^{u_3}$, $E = s(u_4)$, zenith value $e^{u_5}$, with s a smooth map to numbers above -0.45. So Y, x and y are
     positive and finite by construction, and $e^{u_0}$ is the zenith's share of the horizon's light.
 
     `coefficients` c of Y (cd m^-2), x, y. **Valid:** the range above; beyond it the value at its edge holds and `valid`
-    is False. **Source:** `skyfit.refit(form="extended")`; the shipped ones by experiments/refit.py.
+    is False. The shipped x + y exceeds 1, a negative Z, in the last degree above the horizon of pure air under a sun
+    beyond 88 degrees. **Source:** `skyfit.refit(form="extended")`; the shipped ones by experiments/refit.py.
     """
 
     coefficients: Float[Array, "3 6 turbidity sun"]
