@@ -1,6 +1,6 @@
 """The accuracy figures that the README shows: against oracles, the sample sky's truth, peers on measured skies.
 
-    python experiments/accuracy.py [--shared ../shared] [--skip oracles,sample,measured,refit]
+    python experiments/accuracy.py [--shared ../shared] [--skip oracles,sample,measured]
 
 Writes experiments/results/accuracy.json; parts whose inputs are absent keep their last figures and say so.
 `python experiments/readme_tables.py` puts the figures into README.md.
@@ -125,12 +125,6 @@ def measured(shared: pathlib.Path) -> dict:
     }
 
 
-def coefficients() -> dict:
-    """Median luminance and chromaticity errors of the published, refitted and best five coefficients."""
-    result = skyfit.refit()
-    return {"overall": result.overall, "result": result.result}
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--shared", type=pathlib.Path, default=HERE.parent.parent / "shared")
@@ -145,7 +139,7 @@ def main():
         record["oracles"] = oracles(arguments.shared)
     jax.config.update("jax_enable_x64", True)
     jax.clear_caches()
-    parts = {"sample": sample, "measured": lambda: measured(arguments.shared), "refit": coefficients}
+    parts = {"sample": sample, "measured": lambda: measured(arguments.shared)}
     for name, make in parts.items():
         if name not in skip:
             record[name] = make()

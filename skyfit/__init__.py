@@ -22,8 +22,21 @@ from .atmosphere import (
     TwoTermHenyeyGreenstein as TwoTermHenyeyGreenstein,
 )
 from .draw import plot as plot
-from .files import load as load, read as read, save as save, write_sky as write_sky
-from .fit import Fit as Fit, invert as invert, PARAMETERS as PARAMETERS, predict as predict, refit as refit
+from .files import (
+    load as load,
+    read as read,
+    read_coefficients as read_coefficients,
+    save as save,
+    write_sky as write_sky,
+)
+from .fit import (
+    Fit as Fit,
+    fit_perez as fit_perez,
+    invert as invert,
+    PARAMETERS as PARAMETERS,
+    predict as predict,
+    refit as refit,
+)
 from .light import daylight as daylight, srgb as srgb, srgb_from_linear as srgb_from_linear, xyY as xyY, xyz as xyz
 from .scene import (
     Directions as Directions,

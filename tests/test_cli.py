@@ -222,6 +222,18 @@ INVERT = ("invert", "sky.nc", "--solver", "single", "--geometry", "flat", "--pre
 BROKEN = {
     "both hazes": ((*SIMULATE, "--turbidity", "3", "--aerosol-optical-depth", "0.2"), ["--turbidity", "exactly one"]),
     "no haze": (SIMULATE, ["--turbidity", "exactly one"]),
+    "range and turbidity": (
+        (*SIMULATE, "--turbidity", "3", "--meteorological-range", "40"),
+        ["--meteorological-range", "exactly one"],
+    ),
+    "range beyond pure air": ((*SIMULATE, "--meteorological-range", "900"), ["--meteorological-range", "900"]),
+    "published out of its range": (
+        (*SIMULATE, "--turbidity", "1.5", "--coefficients", "published"),
+        ["`turbidity`", "1.7", "1.5"],
+    ),
+    "coefficients missing": ((*SIMULATE, "--turbidity", "3", "--coefficients", "none.json"), ["none.json"]),
+    "refit below the horizon": (("refit", "--flat-below", "95", "--out", "new"), ["--flat-below", "95"]),
+    "refit with no haze": (("refit", "--haze-height", "0", "--out", "new"), ["--haze-height", "0"]),
     "turbidity too small": ((*SIMULATE, "--turbidity", "0.5"), ["--turbidity", "0.5"]),
     "turbidity nan": ((*SIMULATE, "--turbidity", "nan"), ["--turbidity", "nan"]),
     "sun below the horizon": (
@@ -408,6 +420,33 @@ def test_refit_writes_coefficients_and_a_picture(skyfit_command, tmp_path):
     # a row for each sky, and the two of all skies
     table = [line for line in done.stdout.splitlines() if line[:1] == " " and line.strip()[:1].isdigit()]
     assert len(table) == 60
+    # what a user does with it
+    skyfit_command(
+        "simulate", "--coefficients", "r/coefficients.json", "--turbidity", 3, "--sun-zenith", 60, "--out", "s.nc",
+        cwd=tmp_path,
+    )  # fmt: skip
+    model, sky = skyfit.read_coefficients(tmp_path / "r" / "coefficients.json"), skyfit.read(tmp_path / "s.nc")
+    view = skyfit.Directions(sky.view_zenith, sky.view_azimuth)
+    scene = skyfit.Scene.from_degrees(60.0, view, sky.wavelength_nm, 180.0)
+    np.testing.assert_allclose(sky.radiance[0], model.radiance(3.0, scene), rtol=1e-3, atol=1e-7)
+
+
+def test_simulate_by_coefficients_and_by_visibility(skyfit_command, tmp_path):
+    common = ("--sun-zenith", 91, "--turbidity", 1.5, "--wavelengths", "450,550,650", "--out", "s.nc")
+    skyfit_command("simulate", "--coefficients", "extended", *common, cwd=tmp_path)
+    sky = skyfit.read(tmp_path / "s.nc")
+    assert sky.radiance.shape == (1, 343, 3) and np.all(sky.radiance[0] > 0.0)
+    seen = {}
+    for name, value in (
+        ("--turbidity", 2.0),
+        ("--meteorological-range", float(skyfit.meteorological_range(2.0)) / 1e3),
+    ):
+        skyfit_command(
+            "simulate", "--sun-zenith", 60, name, value, "--solver", "uniform", "--geometry", "flat",
+            "--wavelengths", "450,550,650", "--out", "u.nc", cwd=tmp_path,
+        )  # fmt: skip
+        seen[name] = skyfit.read(tmp_path / "u.nc").radiance
+    np.testing.assert_allclose(seen["--turbidity"], seen["--meteorological-range"], rtol=1e-4)
 
 
 @pytest.mark.slow

@@ -6,9 +6,17 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from ..atmosphere import HenyeyGreenstein, SEA_LEVEL_PRESSURE, turbidity_to_optical_depth
-from ..files import read_directions, write_sky
+from ..atmosphere import (
+    HenyeyGreenstein,
+    meteorological_range as meteorological_range_of,
+    optical_depth_to_turbidity,
+    SEA_LEVEL_PRESSURE,
+    turbidity_from_range,
+    turbidity_to_optical_depth,
+)
+from ..files import read_coefficients, read_directions, write_sky
 from ..scene import Directions, hemisphere, Scene, Sky
+from ..sky import AbstractAnalyticSky, ExtendedPreetham, Preetham
 from .options import (
     AngstromExponent,
     app,
@@ -21,6 +29,7 @@ from .options import (
     LineShape,
     make_atmosphere,
     make_solver,
+    notices,
     OzoneColumn,
     PresetName,
     PresetOption,
@@ -49,6 +58,27 @@ def _wavelengths(text: str) -> np.ndarray:
     return np.arange(parts[0], parts[1] + 0.5 * parts[2], parts[2])
 
 
+def _turbidity(turbidity: float | None, optical_depth: float | None, range_km: float | None) -> float:
+    """Preetham's turbidity from the one of its measures that was given."""
+    if sum(value is not None for value in (turbidity, optical_depth, range_km)) != 1:
+        raise ValueError(
+            "exactly one of `--turbidity`, `--aerosol-optical-depth` and `--meteorological-range` must be given"
+        )
+    if turbidity is not None:
+        return in_range("--turbidity", turbidity, 1.0, 50.0)
+    if optical_depth is not None:
+        return float(optical_depth_to_turbidity(in_range("--aerosol-optical-depth", optical_depth, 0.0, 5.0)))
+    assert range_km is not None
+    clearest = float(meteorological_range_of(1.0)) / 1e3
+    return float(turbidity_from_range(1e3 * in_range("--meteorological-range", range_km, 1.0, clearest)))
+
+
+def _analytic_sky(name: str) -> AbstractAnalyticSky:
+    if name == "published":
+        return Preetham.published()
+    return ExtendedPreetham.shipped() if name == "extended" else read_coefficients(name)
+
+
 @app.command()
 def simulate(
     out: Annotated[Path, typer.Option(help="file to write, .nc or .csv")],
@@ -56,6 +86,7 @@ def simulate(
     sun_azimuth: Annotated[float, typer.Option(help="degrees clockwise from north")] = 180.0,
     turbidity: Annotated[float | None, typer.Option(help="Preetham's, at 550 nm (>= 1)")] = None,
     aerosol_optical_depth: Annotated[float | None, typer.Option(help="at 550 nm, instead")] = None,
+    meteorological_range: Annotated[float | None, typer.Option(help="visibility in km, instead")] = None,
     angstrom_exponent: AngstromExponent = 1.3,
     single_scattering_albedo: SingleScatteringAlbedo = 0.95,
     asymmetry: Annotated[float, typer.Option(help="of Henyey and Greenstein's phase function")] = 0.7,
@@ -66,29 +97,34 @@ def simulate(
     wavelengths: Annotated[str, typer.Option(help="nm, first:last:step or a,b,c")] = "380:780:10",
     directions: Annotated[Path | None, typer.Option(help="CSV with view_zenith, view_azimuth")] = None,
     fwhm: LineShape = None,
+    coefficients: Annotated[
+        str | None, typer.Option(help="no solver but an analytic sky: published, extended or a coefficients.json")
+    ] = None,
     solver: SolverOption = SolverName.orders,
     preset: PresetOption = PresetName.normal,
     geometry: GeometryOption = GeometryName.spherical,
 ):
     """Simulate the spectral radiance of a clear sky."""
-    if (turbidity is None) == (aerosol_optical_depth is None):
-        raise ValueError("exactly one of `--turbidity` and `--aerosol-optical-depth` must be given")
-    if turbidity is not None:
-        depth = turbidity_to_optical_depth(in_range("--turbidity", turbidity, 1.0, 50.0))
-    elif aerosol_optical_depth is not None:
-        depth = in_range("--aerosol-optical-depth", aerosol_optical_depth, 0.0, 5.0)
-    in_range("--sun-zenith", sun_zenith, 0.0, 90.0)
+    haze = _turbidity(turbidity, aerosol_optical_depth, meteorological_range)
+    analytic = None if coefficients is None else _analytic_sky(coefficients)
+    in_range("--sun-zenith", sun_zenith, 0.0, 90.0 if analytic is None else 92.0)
     if out.suffix not in (".nc", ".csv") or not out.absolute().parent.is_dir():
         raise ValueError(f"`--out` must be a .nc or .csv file in a folder that is there, got {out}")
     phase = HenyeyGreenstein(in_range("--asymmetry", asymmetry, -0.98, 0.98))
     atmosphere = make_atmosphere(
         phase, angstrom_exponent, single_scattering_albedo, haze_height, ground_albedo, ozone, pressure
-    )(depth)
+    )(turbidity_to_optical_depth(haze))
     view = hemisphere(343) if directions is None else Directions(*read_directions(directions))
     spectrum = _wavelengths(wavelengths)
-    scene = Scene.from_degrees(sun_zenith, view, spectrum, sun_azimuth, fwhm_nm=fwhm)
+    irradiance = "astm_g173" if analytic is None else "unit"
+    scene = Scene.from_degrees(sun_zenith, view, spectrum, sun_azimuth, fwhm_nm=fwhm, irradiance=irradiance)
     with progress("simulating"):
-        radiance = np.asarray(make_solver(solver, preset, geometry).radiance(atmosphere, scene), float)
+        if analytic is None:
+            radiance = np.asarray(make_solver(solver, preset, geometry).radiance(atmosphere, scene), float)
+        else:
+            radiance = np.asarray(analytic.radiance(haze, scene), float)
+            if not analytic.valid(haze, scene.sun_zenith):
+                notices.print("these coefficients extrapolate here", highlight=False)
     sky = Sky(
         radiance=radiance[None], sigma=None, usable=np.isfinite(radiance[None]),
         view_zenith=np.asarray(view.zenith), view_azimuth=np.asarray(view.azimuth), wavelength_nm=spectrum,
