@@ -31,14 +31,15 @@ def test_what_it_points_to_exists():
 
 @pytest.mark.slow
 def test_its_python_runs(tmp_path: Path):
-    block = re.search(r"```python\n(.*?)```", README, re.DOTALL)
-    assert block is not None
+    blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    assert len(blocks) >= 3
     (tmp_path / "data").symlink_to(ROOT / "data")
     check = (
         "\nassert radiance.shape == (343, 41) and slope.shape == radiance.shape\nassert fit.result == ('successful',)\n"
+        "assert np.all(np.isfinite(image)) and pixels.shape == (3, 256, 256)\n"
     )
     script = tmp_path / "readme.py"
-    script.write_text(block.group(1) + check)
+    script.write_text("\n".join(blocks) + check)
     done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "fit.png").exists() and (tmp_path / "fit.json").exists()
