@@ -1,7 +1,7 @@
 """Mountains in the manner of Preetham 1999, Fig. 7 and 8: sky, aerial perspective, Ward-Larson's rival, Klassen's fog.
 
 A fractal height field, cast column by column, lit by sun and sky; all light is spectral. The sky behind it and around
-every point of the air is that of all orders of scattering, or Preetham's (`--sky preetham`).
+every point of the air is that of all orders of scattering, or an analytic sky's (`--sky published`, `--sky extended`).
 """
 
 import argparse
@@ -15,6 +15,7 @@ import numpy as np
 import skyfit
 from skyfit.atmosphere import Ground
 from skyfit.light import daylight
+from skyfit.sky import overcast_luminance
 
 
 matplotlib.use("Agg")
@@ -134,8 +135,8 @@ def scene_of(view, sun, irradiance="astm_g173", height=None):
 
 
 def overcast(scene):
-    """CIE's overcast sky, Preetham 1999, eq. 2, 5000 cd m^-2 at the zenith: daylight of 6500 K, a screen's white."""
-    luminance = 5000.0 / 3.0 * (1.0 + 2.0 * jnp.maximum(jnp.cos(scene.view.zenith), 0.0))
+    """CIE's overcast sky, Preetham 1999, eq. 2: daylight of 6500 K, a screen's white."""
+    luminance = overcast_luminance(scene.sun_zenith, scene.view.zenith)
     white = jnp.full_like(luminance, 0.3127), jnp.full_like(luminance, 0.329)
     return luminance[:, None] * daylight(*white, scene.wavelength_nm)
 
@@ -159,7 +160,8 @@ def render(seen, turbidity, sun, sky, air="ours", fog=None):
     sunward = np.array([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)])
     skies = {
         "orders": lambda scene: SKY.radiance(atmosphere, scene),
-        "preetham": lambda scene: skyfit.Preetham.published().radiance(turbidity, scene),
+        "published": lambda scene: skyfit.Preetham.published().radiance(turbidity, scene),
+        "extended": lambda scene: skyfit.ExtendedPreetham.shipped().radiance(turbidity, scene),
         "overcast": overcast,
     }
     radiance = skies[sky]
@@ -215,7 +217,7 @@ def picture(radiance):
 
 def main():
     begin, parser = time.perf_counter(), argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sky", choices=("orders", "preetham"), default="orders")
+    parser.add_argument("--sky", choices=("orders", "published", "extended"), default="orders")
     sky = parser.parse_args().sky
     west, east = cast(270.0), cast(90.0)
     # elevation and azimuth of the sun, degrees
@@ -243,7 +245,7 @@ def main():
         axis.set_title(title, loc="left", fontsize=9)
         axis.set_axis_off()
     figure.subplots_adjust(left=0.01, right=0.99, top=0.97, bottom=0.01, hspace=0.12, wspace=0.02)
-    figure.savefig(RESULTS / ("landscape.png" if sky == "orders" else "landscape_preetham.png"))
+    figure.savefig(RESULTS / ("landscape.png" if sky == "orders" else f"landscape_{sky}.png"))
     print(f"{len(cases)} pictures of {SHAPE[1]} x {SHAPE[0]} in {time.perf_counter() - begin:.0f} s")
 
 

@@ -20,6 +20,7 @@ from skyfit.atmosphere import (
     RayleighPhase,
 )
 from skyfit.fit import Fit, Fitted, invert, predict, start_model, with_values
+from skyfit.scene import angle_between
 from skyfit.transport import DoubleScattering, OrdersOfScattering, Shells, SingleScattering, Uniform
 
 
@@ -132,6 +133,20 @@ def compiled_sky(name, atmosphere, sun, zenith, azimuth):
 
 def names_of(tree):
     return [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(tree)]
+
+
+def simulated_by(model):
+    """The formula's own skies in place of the simulation of `skyfit.fit.refit`, `[sky, direction, 3]`."""
+
+    def simulate(solver, flat, atmosphere, view, limit, sun, turbidity):
+        rows = []
+        for one, haze in zip(sun, turbidity, strict=True):
+            gamma = angle_between(view.zenith, one, view.azimuth)
+            luminance, x, y = model.luminance_chromaticity(haze, one, view.zenith, gamma)
+            rows.append(jnp.stack([luminance * x / y, luminance, luminance * (1.0 - x - y) / y], axis=-1))
+        return jnp.stack(rows)
+
+    return simulate
 
 
 MADE_WITH = SingleScattering(8, "flat")

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from skies import simulated_by
 
 import skyfit
 from skyfit.fit.joint_fit import _reduced, EXTENDED, LINEAR
@@ -41,25 +42,11 @@ def test_seven_numbers_stand_for_all_directions():
         assert float(jnp.abs(off).max()) < 1e-12
 
 
-def skies_of(model):
-    """Stands for the simulation: the formula's own skies."""
-
-    def simulate(solver, flat, atmosphere, view, limit, sun, turbidity):
-        rows = []
-        for one, haze in zip(sun, turbidity, strict=True):
-            gamma = angle_between(view.zenith, one, view.azimuth)
-            luminance, x, y = model.luminance_chromaticity(haze, one, view.zenith, gamma)
-            rows.append(jnp.stack([luminance * x / y, luminance, luminance * (1.0 - x - y) / y], axis=-1))
-        return jnp.stack(rows)
-
-    return simulate
-
-
 def test_skies_of_the_extended_form_are_met(monkeypatch):
     # with less of every coefficient but the constants
     shipped = ExtendedPreetham.shipped().coefficients
     truth = ExtendedPreetham(jnp.asarray(np.where(np.indices(shipped.shape)[2:].sum(axis=0) > 0, 0.7, 1.0) * shipped))
-    monkeypatch.setattr(module, "_simulate", skies_of(truth))
+    monkeypatch.setattr(module, "_simulate", simulated_by(truth))
     result = skyfit.refit(
         skyfit.SingleScattering(6, "flat"), form="extended", directions=60, held_out=10,
         sun_zenith_deg=np.linspace(0.0, 92.0, 12), turbidity=np.geomspace(1.0, 10.0, 7),

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from skies import simulated_by
 
 import skyfit
 from skyfit.files import read_coefficients, write_coefficients
@@ -183,16 +184,8 @@ def test_skies_of_the_formula_itself_are_met(monkeypatch, changed):
     """Skies by Preetham's own formula instead of a transport solver: the refit has nothing left over."""
     truth = changed_preetham() if changed else skyfit.Preetham.published()
 
-    def formula(solver, flat, atmosphere, view, limit, sun, turbidity):
-        rows = []
-        for one, haze in zip(sun, turbidity, strict=True):
-            gamma = angle_between(view.zenith, one, view.azimuth)
-            luminance, x, y = truth.luminance_chromaticity(haze, one, view.zenith, gamma)
-            rows.append(jnp.stack([luminance * x / y, luminance, luminance * (1.0 - x - y) / y], axis=-1))
-        return jnp.stack(rows)
-
     # as attribute of skyfit.fit, `refit` is the function
-    monkeypatch.setattr(importlib.import_module("skyfit.fit.refit"), "_simulate", formula)
+    monkeypatch.setattr(importlib.import_module("skyfit.fit.refit"), "_simulate", simulated_by(truth))
     result = skyfit.refit(FAST, sun_zenith_deg=SUNS, turbidity=HAZES, directions=60)
     assert set(result.result.values()) == {"successful"}
     assert result.fitted.simulated[..., 1].min() > 0.0
