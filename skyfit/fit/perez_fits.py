@@ -22,20 +22,21 @@ _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e7
 _LITTLE_DAMPING = 0.1
 # per step, of the logarithms u0, u1 and u3
 _LONGEST_STEP = 0.5
-# what is left of a pivot below this share of its diagonal element is rounding
-_SMALLEST_PIVOT = 1e-7
 # relative rounding error of the light of a direction in the loop
 _ROUNDING = 2e-7
 # the zenith is this often brighter than a direction at most: squares of it are still a float32
 _LARGEST_RATIO = 1e12
-# exp(60) = 1e26 still is a float32; A is that of B = -60 where B is steeper
-_STEEPEST = 60.0
+# of the unknowns: from A exp(B) = 3e6, B = -20 and D = -150 on, a whole family of coefficients is the same sky
+_EDGE = (15.0, 3.0, math.inf, 5.0, math.inf)
+# exp(20) exp(60) = 5e34 still is a float32: A is finite beyond the edge, too
+_LARGEST_FACTOR, _STEEPEST = 20.0, 60.0
 
 
 class PerezFits(NamedTuple):
     """Fits of many skies: `coefficients` A, B, C, D, E; `cost`, the sum of squared residuals; `steps`, evaluations.
 
-    `converged` is False where the steps ran out or the light or the angles of a sky were not usable.
+    `converged` is False where the steps ran out, where the light or the angles of a sky were not usable, and where the
+    fit ran off: A exp(B) above 3e6, B below -20 or D below -150.
     """
 
     coefficients: Float[Array, "sky parameter"]
@@ -88,7 +89,7 @@ def fit_perez(
     $L / L_z = (1 + a (e^{B (1/\cos\theta - 1)} - 1)) (1 + c (e^{D\gamma} - e^{D\theta_s}) +
     e (\cos^2\gamma - \cos^2\theta_s))$ with $a = 1 - e^{-u_0}$, $B = -e^{u_1}$, $D = -e^{u_3}$. The loop is in single
     precision, a last Gauss-Newton step in that of the arguments. The derivatives by the arguments, forward and reverse,
-    are those of the minimum (implicit function theorem with the whole Hessian).
+    are those of the minimum (implicit function theorem with the whole Hessian), 0 where `converged` is False.
 
     **Arguments:** `light` and `zenith_light`, one unit, positive; `theta` view zenith angle, `gamma` angle from the
     sun, `theta_sun` the sun's zenith angle, radians; `weight` of each direction, 0 where the light is not to be
@@ -96,13 +97,15 @@ def fit_perez(
     decrease of the cost at which a sky ends.
     **Returns:** `PerezFits`.
     **Valid:** a sky that somewhere with weight has light or an angle that is not usable (NaN, 0, negative, less than
-    1e-12 of the zenith's) comes back as the start with infinite cost, `converged` False and derivatives 0; the others
-    do not see it. Some skies, most with the sun within 25 degrees of the zenith, have several minima, and which is
-    found depends on the start (`experiments/perez_fits.py` counts them). Where the best form has F(0, theta_s) near
-    zero the coefficients are huge; their `Perez.ratio` still is the fit.
-    **Errors:** `ValueError` for a `start` out of range.
+    1e-12 of the zenith's) comes back as the start with infinite cost; the others do not see it. Some skies, most with
+    the sun within 25 degrees of the zenith, have several minima, and which is found depends on the start
+    (`experiments/perez_fits.py` counts them); skies that darken to the horizon want one with A > 0. Where the best
+    form has F(0, theta_s) near zero the coefficients are huge; their `Perez.ratio` still is the fit.
+    **Errors:** `ValueError` for no sky and for a `start` out of range.
     **Source:** Perez et al. 1993 eq. 1; Marquardt 1963, J. SIAM 11, 431.
     """
+    if light.shape[0] == 0:
+        raise ValueError(f"`light` must hold at least one sky, got shape {light.shape}")
     a, b, _, d, _ = start
     if not (all(map(math.isfinite, start)) and b < 0.0 and d < 0.0 and a * math.exp(b) > -1.0):
         raise ValueError(f"`start` must be finite with B < 0, D < 0 and A exp(B) > -1, got {start}")
@@ -111,27 +114,30 @@ def fit_perez(
 
 @eqx.filter_jit
 def _fit(light, zenith_light, theta, gamma, theta_sun, weight, start, max_steps, tolerance) -> PerezFits:
-    skies, usable = _usable(light, zenith_light, gamma, theta_sun, weight)
+    known_place = jnp.isfinite(theta) & jnp.isfinite(weight)
+    skies, usable = _usable(light, zenith_light, gamma, theta_sun, known_place, weight)
+    theta, weight = jnp.where(known_place, theta, 0.0), jnp.where(known_place, weight, 0.0)
     slant = 1.0 / jnp.maximum(jnp.cos(theta), LOWEST_COSINE) - 1.0
     start = jnp.asarray(start, light.dtype)
     first = _unbounded(start, skies.sun)
     fixed = jax.lax.stop_gradient((skies, slant, weight))
     single = jax.tree.map(lambda v: v.astype(jnp.float32), (*fixed, jax.lax.stop_gradient(first)))
-    point, steps, converged = _iterate(*single, max_steps, tolerance)
+    point, steps, converged = _iterate(*single, max_steps=max_steps, tolerance=tolerance)
     point, cost = _last_step(point.astype(light.dtype), *fixed)
-    point, cost = _minimum(point, cost, skies, slant, weight)
+    settled = converged & usable & jnp.all(point < jnp.asarray(_EDGE, point.dtype)[None], axis=1)
+    point, cost = _minimum(point, cost, settled, skies, slant, weight)
     return PerezFits(
         jnp.where(usable[:, None], _bounded(point, skies.sun), start[None]),
         jnp.where(usable, cost, jnp.inf),
         steps,
-        converged & usable,
+        settled,
     )
 
 
-def _usable(light, zenith_light, gamma, sun, weight) -> tuple[_Skies, Bool[Array, " sky"]]:
+def _usable(light, zenith_light, gamma, sun, known_place, weight) -> tuple[_Skies, Bool[Array, " sky"]]:
     """The skies with harmless numbers in place of what cannot be used, and which are usable."""
     at_zenith = jnp.isfinite(zenith_light) & (zenith_light > 0.0)
-    known = jnp.isfinite(light) & (light > 0.0) & jnp.isfinite(gamma)
+    known = jnp.isfinite(light) & (light > 0.0) & jnp.isfinite(gamma) & known_place[None]
     zenith_light = jnp.where(at_zenith, zenith_light, 1.0)[:, None]
     known = known & (light > zenith_light / _LARGEST_RATIO)
     usable = at_zenith & jnp.isfinite(sun) & jnp.all(known | (weight == 0.0)[None], axis=1)
@@ -161,7 +167,7 @@ def _bounded(point, sun):
     u, steepness, c, width, e = point.T
     steepness, width = jnp.exp(steepness), jnp.exp(width)
     rest = _away_from_zero(1.0 - c * jnp.exp(-width * sun) - e * jnp.square(jnp.cos(sun)))
-    a = jnp.expm1(u) * jnp.exp(jnp.minimum(steepness, _STEEPEST))
+    a = jnp.expm1(jnp.minimum(u, _LARGEST_FACTOR)) * jnp.exp(jnp.minimum(steepness, _STEEPEST))
     return jnp.stack([a, -steepness, c / rest, -width, e / rest], axis=1)
 
 
@@ -203,8 +209,8 @@ def _solve(matrix, right):
     pivot, result = [], []
     for j in range(n):
         left = sum((lower[j][k] ** 2 * pivot[k] for k in range(j)), 0.0)
-        # an unknown without any influence stays where it is
-        smallest = jnp.maximum(_SMALLEST_PIVOT * jnp.abs(matrix[:, j, j]), 1e-20)
+        # less is rounding; an unknown without any influence stays where it is
+        smallest = jnp.maximum(jnp.finfo(matrix.dtype).eps * jnp.abs(matrix[:, j, j]), 1e-30)
         pivot.append(jnp.maximum(matrix[:, j, j] - left, smallest))
         for i in range(j + 1, n):
             left = sum((lower[i][k] * lower[j][k] * pivot[k] for k in range(j)), 0.0)
@@ -246,7 +252,7 @@ def _iterate(skies: _Skies, slant, weight, first, max_steps: int, tolerance: flo
         step = -_solve(curvature + diagonal[:, :, None] * jnp.eye(5, dtype=diagonal.dtype)[None], slope)
         step = step * jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(_longest(step), 1e-9))[:, None]
         little = tolerance * cost + nothing
-        flat = (lane.cost - cost < little) & (-jnp.sum(step * slope, axis=1) < little) & (damping < _LITTLE_DAMPING)
+        flat = (lane.cost - cost <= little) & (-jnp.sum(step * slope, axis=1) <= little) & (damping < _LITTLE_DAMPING)
         converged = ~begins & (flat | (damping > _MOST_DAMPING))
         # a start without a finite cost leads nowhere
         done = converged | (lane.count + 1 >= max_steps) | jnp.isinf(cost)
@@ -304,22 +310,26 @@ def _last_step(point, skies: _Skies, slant, weight):
 
 
 @jax.custom_jvp
-def _minimum(point, cost, skies: _Skies, slant, weight):
-    """Point and cost with the derivatives of the minimum that they are, where the slope stays 0."""
+def _minimum(point, cost, settled, skies: _Skies, slant, weight):
+    """Point and cost with the derivatives of the minimum, where the slope stays 0, in skies that are at one."""
     return point, cost
 
 
 @_minimum.defjvp
 def _minimum_jvp(primals, tangents):
-    (_, _, *data), (_, _, *moving) = primals, tangents
+    (_, _, settled, *data), (_, _, _, *moving) = primals, tangents
     point, cost = _minimum(*primals)
 
-    def slope(point, *data):
+    def slope_and_cost(point, *data):
         columns = _columns(point, *data)
         return jnp.sum(columns[:, :5] * columns[:, 5:], axis=2), jnp.sum(jnp.square(columns[:, 5]), axis=1)
 
-    _, (drift, rise) = jax.jvp(lambda *data: slope(point, *data), tuple(data), tuple(moving))
-    # of all skies at once: no sky's slope knows the point of another
-    along = jax.vmap(lambda one: jax.jvp(lambda p: slope(p, *data)[0], (point,), (one[None] + 0.0 * point,))[1])
-    hessian = jnp.moveaxis(along(jnp.eye(5, dtype=point.dtype)), 0, 2)
-    return (point, cost), (-_solve(hessian, drift), rise)
+    def along(one):
+        # of all skies at once: no sky's slope knows the point of another
+        return jax.jvp(lambda p: slope_and_cost(p, *data)[0], (point,), (jnp.broadcast_to(one, point.shape),))[1]
+
+    _, (drift, rise) = jax.jvp(lambda *data: slope_and_cost(point, *data), tuple(data), tuple(moving))
+    unit = jnp.eye(5, dtype=point.dtype)
+    hessian = jnp.where(settled[:, None, None], jax.vmap(along, out_axes=2)(unit), unit[None])
+    drift = jnp.where(settled[:, None], drift, 0.0)
+    return (point, cost), (-_solve(hessian, drift), jnp.where(settled, rise, 0.0))
