@@ -259,7 +259,7 @@ def test_no_sky():
 
 @pytest.mark.parametrize("count", [1, 300])
 def test_neighbours_and_place_do_not_matter(simulated, count):
-    """One, fewer, more than the lanes: each sky is fitted as in the batch of 40, wherever it stands."""
+    """One, more than the lanes: each sky is fitted as in the batch of 40, wherever it stands."""
     light, sun = simulated
     chosen = np.random.default_rng(count).integers(0, sun.size, count)
     clean, got = fit(given(light, sun)), fit(given(light[chosen], sun[chosen]))

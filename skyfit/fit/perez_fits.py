@@ -14,7 +14,7 @@ from ..sky.perez import LOWEST_COSINE
 # A-E where a fit starts if nothing else is said: Preetham 1999, A.2 near T = 3
 CLEAR_SKY = (-1.0, -0.4, 8.0, -2.3, 0.4)
 # skies that are iterated together; the next sky takes the place of one that has ended
-_LANES = 128
+_LANES = 64
 # Marquardt's factor after the first evaluation, after a worse and after a better one; tuned on 3000 simulated skies
 _FIRST_DAMPING, _MORE, _LESS = 0.003, 4.0, 0.1
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e7
@@ -84,7 +84,7 @@ def fit_perez(
 ) -> PerezFits:
     r"""A, B, C, D, E of each sky that minimise $\sum_d w_d^2 (L_z F(\theta_d, \gamma_d) / (F(0, \theta_s) L_d) - 1)^2$.
 
-    Levenberg-Marquardt with Marquardt's damping on 128 skies side by side, each place taken by the next sky when one
+    Levenberg-Marquardt with Marquardt's damping on 64 skies side by side, each place taken by the next sky when one
     has ended, so that no sky waits for the slowest. The unknowns are such that the zenith's value cancels:
     $L / L_z = (1 + a (e^{B (1/\cos\theta - 1)} - 1)) (1 + c (e^{D\gamma} - e^{D\theta_s}) +
     e (\cos^2\gamma - \cos^2\theta_s))$ with $a = 1 - e^{-u_0}$, $B = -e^{u_1}$, $D = -e^{u_3}$. The loop is in single
