@@ -1,5 +1,6 @@
 """Perez' five parameters fitted to many skies at once."""
 
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -7,24 +8,35 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ..sky.perez import LOWEST_COSINE
+
 
 # A-E where a fit starts if nothing else is said: Preetham 1999, A.2 near T = 3
 CLEAR_SKY = (-1.0, -0.4, 8.0, -2.3, 0.4)
 # skies that are iterated together; the next sky takes the place of one that has ended
-_LANES = 128
-_FIRST_DAMPING, _MORE, _LESS = 0.03, 4.0, 0.1
-_MOST_DAMPING = 1e7
-# per step, of the logarithms of the horizon's ratio, B and D
+_LANES = 64
+# Marquardt's factor after the first evaluation, after a worse and after a better one; tuned on 3000 simulated skies
+_FIRST_DAMPING, _MORE, _LESS = 0.003, 4.0, 0.1
+_LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e7
+# a step that is damped less than this is near enough to Gauss-Newton's that what it promises is what is left
+_LITTLE_DAMPING = 0.1
+# per step, of the logarithms u0, u1 and u3
 _LONGEST_STEP = 0.5
-_SMALLEST_COSINE = 0.01  # as in `perez_distribution`
-# a matrix element of a parameter without influence, so that it stays where it is
-_NO_INFLUENCE = 1e-12
+# relative rounding error of the light of a direction in the loop
+_ROUNDING = 2e-7
+# the zenith is this often brighter than a direction at most: squares of it are still a float32
+_LARGEST_RATIO = 1e12
+# of the unknowns: from A exp(B) = 3e6, B = -20 and D = -150 on, a whole family of coefficients is the same sky
+_EDGE = (15.0, 3.0, math.inf, 5.0, math.inf)
+# exp(20) exp(60) = 5e34 still is a float32: A is finite beyond the edge, too
+_LARGEST_FACTOR, _STEEPEST = 20.0, 60.0
 
 
 class PerezFits(NamedTuple):
     """Fits of many skies: `coefficients` A, B, C, D, E; `cost`, the sum of squared residuals; `steps`, evaluations.
 
-    `converged` is False where the steps ran out or the light or the angles of a sky were not usable.
+    `converged` is False where the steps ran out, where the light or the angles of a sky were not usable, and where the
+    fit ran off: A exp(B) above 3e6, B below -20 or D below -150.
     """
 
     coefficients: Float[Array, "sky parameter"]
@@ -34,7 +46,7 @@ class PerezFits(NamedTuple):
 
 
 class _Skies(NamedTuple):
-    """What the residual of each sky needs; the direction's own part is shared."""
+    """What the residual of each sky needs: the zenith's light over the direction's, angles from the sun, the sun."""
 
     ratio: Float[Array, "sky direction"]
     gamma: Float[Array, "sky direction"]
@@ -43,6 +55,8 @@ class _Skies(NamedTuple):
 
 
 class _Lanes(NamedTuple):
+    """The loop's state: what each lane works at, which sky is the next, and what has been found."""
+
     sky: Int[Array, " lane"]
     point: Float[Array, "lane parameter"]
     step: Float[Array, "lane parameter"]
@@ -53,12 +67,10 @@ class _Lanes(NamedTuple):
     count: Int[Array, " lane"]
     following: Int[Array, ""]
     found: Float[Array, "sky parameter"]
-    found_cost: Float[Array, " sky"]
-    found_count: Int[Array, " sky"]
+    steps: Int[Array, " sky"]
     converged: Bool[Array, " sky"]
 
 
-@eqx.filter_jit
 def fit_perez(
     light: Float[Array, "sky direction"],
     zenith_light: Float[Array, " sky"],
@@ -72,120 +84,121 @@ def fit_perez(
 ) -> PerezFits:
     r"""A, B, C, D, E of each sky that minimise $\sum_d w_d^2 (L_z F(\theta_d, \gamma_d) / (F(0, \theta_s) L_d) - 1)^2$.
 
-    Levenberg-Marquardt with Marquardt's damping on 128 skies side by side, each place taken by the next sky when one
+    Levenberg-Marquardt with Marquardt's damping on 64 skies side by side, each place taken by the next sky when one
     has ended, so that no sky waits for the slowest. The unknowns are such that the zenith's value cancels:
     $L / L_z = (1 + a (e^{B (1/\cos\theta - 1)} - 1)) (1 + c (e^{D\gamma} - e^{D\theta_s}) +
-    e (\cos^2\gamma - \cos^2\theta_s))$ with $a = 1 - e^{-u_0}$, $B = -e^{u_1}$, $D = -e^{u_3}$. Steps are taken in
-    single precision; a last Gauss-Newton step in that of the arguments carries the derivatives (implicit
-    adjoint: exact where the residuals vanish).
+    e (\cos^2\gamma - \cos^2\theta_s))$ with $a = 1 - e^{-u_0}$, $B = -e^{u_1}$, $D = -e^{u_3}$. The loop is in single
+    precision, a last Gauss-Newton step in that of the arguments. The derivatives by the arguments, forward and reverse,
+    are those of the minimum (implicit function theorem with the whole Hessian), 0 where `converged` is False.
 
     **Arguments:** `light` and `zenith_light`, one unit, positive; `theta` view zenith angle, `gamma` angle from the
-    sun, `theta_sun` the sun's zenith angle, radians; `weight` of each direction; `start` A-E with B, D < 0;
-    `max_steps`, evaluations of a sky; `tolerance`, the relative decrease of the cost at which a sky ends.
-    **Returns:** `PerezFits`. **Valid:** a sky with light that is not positive or finite comes back as the start with
-    `converged` False and the others are unaffected. Where $F(0, \theta_s)$ of the best form is near zero (sun near the
-    zenith) the coefficients are huge; their `Perez.ratio` still is the fit.
+    sun, `theta_sun` the sun's zenith angle, radians; `weight` of each direction, 0 where the light is not to be
+    looked at; `start` A-E with B, D < 0 and $A e^B > -1$; `max_steps`, evaluations of a sky; `tolerance`, the relative
+    decrease of the cost at which a sky ends.
+    **Returns:** `PerezFits`.
+    **Valid:** a sky that somewhere with weight has light or an angle that is not usable (NaN, 0, negative, less than
+    1e-12 of the zenith's) comes back as the start with infinite cost; the others do not see it. Some skies, most with
+    the sun within 25 degrees of the zenith, have several minima, and which is found depends on the start
+    (`experiments/perez_fits.py` counts them); skies that darken to the horizon want one with A > 0. Where the best
+    form has F(0, theta_s) near zero the coefficients are huge; their `Perez.ratio` still is the fit.
+    **Errors:** `ValueError` for no sky and for a `start` out of range.
     **Source:** Perez et al. 1993 eq. 1; Marquardt 1963, J. SIAM 11, 431.
     """
-    usable = jnp.all(jnp.isfinite(light) & (light > 0.0), axis=1) & jnp.isfinite(zenith_light) & (zenith_light > 0.0)
-    usable = usable & jnp.all(jnp.isfinite(gamma), axis=1) & jnp.isfinite(theta_sun)
-    ratio = jnp.where(usable[:, None], zenith_light[:, None] / jnp.where(usable[:, None], light, 1.0), 1.0)
-    gamma = jnp.where(usable[:, None], gamma, 0.0)
-    skies = _Skies(ratio, gamma, jnp.square(jnp.cos(gamma)), jnp.where(usable, theta_sun, 0.0))
-    slant = 1.0 / jnp.maximum(jnp.cos(theta), _SMALLEST_COSINE) - 1.0
-    first = _unbounded(jnp.asarray(start, ratio.dtype), skies.sun)
-    single = jax.tree.map(lambda v: jax.lax.stop_gradient(v).astype(jnp.float32), (skies, slant, weight, first))
-    ended = _iterate(single[0], single[1], single[2], single[3], max_steps, tolerance)
-    point = ended.found.astype(ratio.dtype)
-    # one step more, in the precision of the arguments: its derivative is that of the minimum
-    normal = _normal_equations(point, skies, slant, weight, moving=True)
-    step = -_solve(jax.lax.stop_gradient(normal[:, :5, :5]) + _NO_INFLUENCE * jnp.eye(5)[None], normal[:, :5, 5])
-    # where the valley is flat a whole step may lead far out: the value stays, the derivative is kept
-    short = jnp.max(jnp.abs(step), axis=1, keepdims=True) < _LONGEST_STEP
-    step = jnp.where(jnp.isfinite(step), step, 0.0)
-    moved = jnp.where(short, point + step, point + step - jax.lax.stop_gradient(step))
-    cost = _cost(moved, skies, slant, weight)
-    better = cost <= normal[:, 5, 5]
-    final = jnp.where(better[:, None], moved, point + step - jax.lax.stop_gradient(step))
-    cost = jnp.where(better, cost, normal[:, 5, 5])
-    return PerezFits(_bounded(final, skies.sun), cost, ended.found_count, ended.converged & usable)
+    if light.shape[0] == 0:
+        raise ValueError(f"`light` must hold at least one sky, got shape {light.shape}")
+    a, b, _, d, _ = start
+    if not (all(map(math.isfinite, start)) and b < 0.0 and d < 0.0 and a * math.exp(b) > -1.0):
+        raise ValueError(f"`start` must be finite with B < 0, D < 0 and A exp(B) > -1, got {start}")
+    return _fit(light, zenith_light, theta, gamma, theta_sun, weight, start, max_steps, tolerance)
+
+
+@eqx.filter_jit
+def _fit(light, zenith_light, theta, gamma, theta_sun, weight, start, max_steps, tolerance) -> PerezFits:
+    known_place = jnp.isfinite(theta) & jnp.isfinite(weight)
+    skies, usable = _usable(light, zenith_light, gamma, theta_sun, known_place, weight)
+    theta, weight = jnp.where(known_place, theta, 0.0), jnp.where(known_place, weight, 0.0)
+    slant = 1.0 / jnp.maximum(jnp.cos(theta), LOWEST_COSINE) - 1.0
+    start = jnp.asarray(start, light.dtype)
+    first = _unbounded(start, skies.sun)
+    fixed = jax.lax.stop_gradient((skies, slant, weight))
+    single = jax.tree.map(lambda v: v.astype(jnp.float32), (*fixed, jax.lax.stop_gradient(first)))
+    point, steps, converged = _iterate(*single, max_steps=max_steps, tolerance=tolerance)
+    point, cost = _last_step(point.astype(light.dtype), *fixed)
+    settled = converged & usable & jnp.all(point < jnp.asarray(_EDGE, point.dtype)[None], axis=1)
+    point, cost = _minimum(point, cost, settled, skies, slant, weight)
+    return PerezFits(
+        jnp.where(usable[:, None], _bounded(point, skies.sun), start[None]),
+        jnp.where(usable, cost, jnp.inf),
+        steps,
+        settled,
+    )
+
+
+def _usable(light, zenith_light, gamma, sun, known_place, weight) -> tuple[_Skies, Bool[Array, " sky"]]:
+    """The skies with harmless numbers in place of what cannot be used, and which are usable."""
+    at_zenith = jnp.isfinite(zenith_light) & (zenith_light > 0.0)
+    known = jnp.isfinite(light) & (light > 0.0) & jnp.isfinite(gamma) & known_place[None]
+    zenith_light = jnp.where(at_zenith, zenith_light, 1.0)[:, None]
+    known = known & (light > zenith_light / _LARGEST_RATIO)
+    usable = at_zenith & jnp.isfinite(sun) & jnp.all(known | (weight == 0.0)[None], axis=1)
+    known = known & usable[:, None]
+    ratio = jnp.where(known, zenith_light / jnp.where(known, light, 1.0), 1.0)
+    gamma = jnp.where(known, gamma, 0.0)
+    return _Skies(ratio, gamma, jnp.square(jnp.cos(gamma)), jnp.where(usable, sun, 0.0)), usable
+
+
+def _away_from_zero(value):
+    return jnp.where(jnp.abs(value) < 1e-6, 1e-6, value)
 
 
 def _unbounded(coefficients, sun):
     """The unknowns of A-E for each sun, `[sky, 5]`."""
     a, b, c, d, e = coefficients
-    at_zenith = 1.0 + c * jnp.exp(d * sun) + e * jnp.square(jnp.cos(sun))
+    at_zenith = _away_from_zero(1.0 + c * jnp.exp(d * sun) + e * jnp.square(jnp.cos(sun)))
     same = jnp.ones_like(sun)
     return jnp.stack(
-        [
-            jnp.log1p(a * jnp.exp(b)) * same,
-            jnp.log(-b) * same,
-            c / at_zenith,
-            jnp.log(-d) * same,
-            e / at_zenith,
-        ],
+        [jnp.log1p(a * jnp.exp(b)) * same, jnp.log(-b) * same, c / at_zenith, jnp.log(-d) * same, e / at_zenith],
         axis=1,
     )
 
 
 def _bounded(point, sun):
     """A-E of the unknowns, `[sky, 5]`."""
-    steepness, width = jnp.exp(point[:, 1]), jnp.exp(point[:, 3])
-    rest = 1.0 - point[:, 2] * jnp.exp(-width * sun) - point[:, 4] * jnp.square(jnp.cos(sun))
-    at_zenith = 1.0 / jnp.where(jnp.abs(rest) < 1e-6, 1e-6, rest)
-    return jnp.stack(
-        [
-            jnp.expm1(point[:, 0]) * jnp.exp(jnp.minimum(steepness, 20.0)),
-            -steepness,
-            point[:, 2] * at_zenith,
-            -width,
-            point[:, 4] * at_zenith,
-        ],
-        axis=1,
-    )
+    u, steepness, c, width, e = point.T
+    steepness, width = jnp.exp(steepness), jnp.exp(width)
+    rest = _away_from_zero(1.0 - c * jnp.exp(-width * sun) - e * jnp.square(jnp.cos(sun)))
+    a = jnp.expm1(jnp.minimum(u, _LARGEST_FACTOR)) * jnp.exp(jnp.minimum(steepness, _STEEPEST))
+    return jnp.stack([a, -steepness, c / rest, -width, e / rest], axis=1)
 
 
-def _factors(point, skies: _Skies, slant):
-    """Horizon's and sun's factor and what their derivatives need."""
+def _columns(point, skies: _Skies, slant, weight):
+    """The Jacobian by the five unknowns and, last, the residual, `[sky, 6, direction]`."""
     u, steepness, c, width, e = (point[:, k, None] for k in range(5))
-    b, d = -jnp.exp(steepness), -jnp.exp(width)
-    sun = skies.sun[:, None]
+    b, d, sun = -jnp.exp(steepness), -jnp.exp(width), skies.sun[:, None]
     # far below the smallest float nothing is left to lose
-    horizon = jnp.exp(jnp.maximum(b * slant[None], -80.0)) - 1.0
+    horizon = jnp.exp(jnp.maximum(b * slant[None], -80.0))
     here, there = jnp.exp(d * skies.gamma), jnp.exp(d * sun)
     square = skies.square - jnp.square(jnp.cos(sun))
     left = jnp.exp(-u)
-    first = 1.0 + (1.0 - left) * horizon
+    first = 1.0 + (1.0 - left) * (horizon - 1.0)
     second = 1.0 + c * (here - there) + e * square
-    return first, second, horizon, here, there, square, left, b, c, d
-
-
-def _cost(point, skies: _Skies, slant, weight):
-    first, second, *_ = _factors(point, skies, slant)
-    return jnp.sum(jnp.square(weight[None] * (skies.ratio * first * second - 1.0)), axis=1)
-
-
-def _normal_equations(point, skies: _Skies, slant, weight, moving: bool = False):
-    """Products of the five columns of the Jacobian and the residual, `[sky, 6, 6]`.
-
-    `moving`: the derivative of the products with the residual is by the data at a fixed Jacobian.
-    """
-    first, second, horizon, here, there, square, left, b, c, d = _factors(point, skies, slant)
     scale = weight[None] * skies.ratio
     by_first, by_second = scale * second, scale * first
-    jacobian = jnp.stack(
+    return jnp.stack(
         [
-            by_first * horizon * left,
-            by_first * (1.0 - left) * (horizon + 1.0) * slant[None] * b,
+            by_first * (horizon - 1.0) * left,
+            by_first * (1.0 - left) * horizon * slant[None] * b,
             by_second * (here - there),
-            by_second * c * d * (here * skies.gamma - there * skies.sun[:, None]),
+            by_second * c * d * (here * skies.gamma - there * sun),
             by_second * square,
+            by_first * first - weight[None],
         ],
         axis=1,
     )
-    if moving:
-        jacobian = jax.lax.stop_gradient(jacobian)
-    columns = jnp.concatenate([jacobian, (by_first * first - weight[None])[:, None]], axis=1)
+
+
+def _products(columns):
+    """Curvature, slope and cost in one matrix: the products of all columns, `[sky, 6, 6]`."""
     return jax.lax.dot_general(columns, columns, (((2,), (2,)), ((0,), (0,))), precision="highest")
 
 
@@ -196,7 +209,9 @@ def _solve(matrix, right):
     pivot, result = [], []
     for j in range(n):
         left = sum((lower[j][k] ** 2 * pivot[k] for k in range(j)), 0.0)
-        pivot.append(jnp.maximum(matrix[:, j, j] - left, 1e-30))
+        # less is rounding; an unknown without any influence stays where it is
+        smallest = jnp.maximum(jnp.finfo(matrix.dtype).eps * jnp.abs(matrix[:, j, j]), 1e-30)
+        pivot.append(jnp.maximum(matrix[:, j, j] - left, smallest))
         for i in range(j + 1, n):
             left = sum((lower[i][k] * lower[j][k] * pivot[k] for k in range(j)), 0.0)
             lower[i][j] = (matrix[:, i, j] - left) / pivot[j]
@@ -207,57 +222,114 @@ def _solve(matrix, right):
     return jnp.stack(result, axis=1)
 
 
-def _iterate(skies: _Skies, slant, weight, first, max_steps: int, tolerance: float) -> _Lanes:
+def _longest(step):
+    """Of the steps of the logarithms, `[sky]`."""
+    return jnp.max(jnp.abs(step[:, jnp.array([0, 1, 3])]), axis=1)
+
+
+def _iterate(skies: _Skies, slant, weight, first, max_steps: int, tolerance: float):
+    """Points, evaluations and whether it converged, of each sky."""
     count = first.shape[0]
     # a last sky that nobody asked for stands where none is left
     skies, first = jax.tree.map(lambda v: jnp.concatenate([v, v[:1]]), (skies, first))
     lanes = min(_LANES, count)
+    # below that a cost is rounding
+    nothing = jnp.sum(jnp.square(_ROUNDING * weight))
 
     def turn(lane: _Lanes) -> _Lanes:
         trial = lane.point + lane.step
-        normal = _normal_equations(trial, jax.tree.map(lambda v: v[lane.sky], skies), slant, weight)
-        cost = normal[:, 5, 5]
+        products = _products(_columns(trial, jax.tree.map(lambda v: v[lane.sky], skies), slant, weight))
+        cost = products[:, 5, 5]
         begins = jnp.isinf(lane.cost)
         better = jnp.isfinite(cost) & (cost < lane.cost)
-        fall = (lane.cost - cost) / jnp.maximum(cost, 1e-30)
-        curvature = jnp.where(better[:, None, None], normal[:, :5, :5], lane.curvature)
-        slope = jnp.where(better[:, None], normal[:, :5, 5], lane.slope)
+        curvature = jnp.where(better[:, None, None], products[:, :5, :5], lane.curvature)
+        slope = jnp.where(better[:, None], products[:, :5, 5], lane.slope)
         point = jnp.where(better[:, None], trial, lane.point)
         cost = jnp.where(better, cost, lane.cost)
-        damping = jnp.maximum(lane.damping * jnp.where(better, _LESS, _MORE), 1e-6)
-        scaled = jnp.diagonal(curvature, axis1=1, axis2=2) * damping[:, None] + _NO_INFLUENCE
-        step = -_solve(curvature + scaled[:, :, None] * jnp.eye(5, dtype=scaled.dtype)[None], slope)
-        longest = jnp.max(jnp.abs(step[:, jnp.array([0, 1, 3])]), axis=1)
-        step = step * jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(longest, 1e-9))[:, None]
-        foreseen = -jnp.sum(step * slope, axis=1) / jnp.maximum(cost, 1e-30)
-        flat = better & ~begins & (fall < tolerance) & (foreseen < tolerance) & (damping < 0.1)
-        converged = flat | (~begins & (damping > _MOST_DAMPING))
-        done = converged | (lane.count + 1 >= max_steps)
-        following = jnp.where(done, jnp.minimum(lane.following + jnp.cumsum(done) - 1, count), lane.sky)
+        damping = lane.damping * jnp.where(better, _LESS, _MORE)
+        damping = jnp.where(begins, _FIRST_DAMPING, jnp.maximum(damping, _LEAST_DAMPING))
+        diagonal = jnp.diagonal(curvature, axis1=1, axis2=2) * damping[:, None]
+        step = -_solve(curvature + diagonal[:, :, None] * jnp.eye(5, dtype=diagonal.dtype)[None], slope)
+        step = step * jnp.minimum(1.0, _LONGEST_STEP / jnp.maximum(_longest(step), 1e-9))[:, None]
+        little = tolerance * cost + nothing
+        flat = (lane.cost - cost <= little) & (-jnp.sum(step * slope, axis=1) <= little) & (damping < _LITTLE_DAMPING)
+        converged = ~begins & (flat | (damping > _MOST_DAMPING))
+        # a start without a finite cost leads nowhere
+        done = converged | (lane.count + 1 >= max_steps) | jnp.isinf(cost)
+        sky = jnp.where(done, jnp.minimum(lane.following + jnp.cumsum(done) - 1, count), lane.sky)
         return _Lanes(
-            sky=following,
-            point=jnp.where(done[:, None], first[following], point),
+            sky=sky,
+            point=jnp.where(done[:, None], first[sky], point),
             step=jnp.where(done[:, None], 0.0, step),
-            damping=jnp.where(done, _FIRST_DAMPING, damping),
+            damping=damping,
             cost=jnp.where(done, jnp.inf, cost),
             curvature=curvature,
             slope=slope,
             count=jnp.where(done, 0, lane.count + 1),
             following=lane.following + jnp.sum(done),
             found=lane.found.at[lane.sky].set(point),
-            found_cost=lane.found_cost.at[lane.sky].set(cost),
-            found_count=lane.found_count.at[lane.sky].set(lane.count + 1),
+            steps=lane.steps.at[lane.sky].set(lane.count + 1),
             converged=lane.converged.at[lane.sky].set(converged),
         )
 
     dtype = first.dtype
     begin = _Lanes(
         sky=jnp.arange(lanes), point=first[:lanes], step=jnp.zeros((lanes, 5), dtype),
-        damping=jnp.full(lanes, _FIRST_DAMPING, dtype), cost=jnp.full(lanes, jnp.inf, dtype),
+        damping=jnp.zeros(lanes, dtype), cost=jnp.full(lanes, jnp.inf, dtype),
         curvature=jnp.zeros((lanes, 5, 5), dtype), slope=jnp.zeros((lanes, 5), dtype),
         count=jnp.zeros(lanes, int), following=jnp.asarray(lanes), found=first,
-        found_cost=jnp.zeros(count + 1, dtype), found_count=jnp.zeros(count + 1, int),
-        converged=jnp.zeros(count + 1, bool),
+        steps=jnp.zeros(count + 1, int), converged=jnp.zeros(count + 1, bool),
     )  # fmt: skip
     ended = jax.lax.while_loop(lambda lane: jnp.any(lane.sky < count), turn, begin)
-    return jax.tree.map(lambda v: v[:count] if v.shape[:1] == (count + 1,) else v, ended)
+    return ended.found[:count], ended.steps[:count], ended.converged[:count]
+
+
+def _last_step(point, skies: _Skies, slant, weight):
+    """Points and costs after a step of Gauss-Newton in the precision of the arguments, taken where it helps."""
+    count = point.shape[0]
+    lanes = min(_LANES, count)
+
+    def turn(_, state):
+        sky, points, costs = state
+        point, data = points[sky], jax.tree.map(lambda v: v[sky], skies)
+        products = _products(_columns(point, data, slant, weight))
+        step = -_solve(products[:, :5, :5], products[:, :5, 5])
+        # where the valley is flat a whole step may lead far out
+        step = jnp.where((_longest(step) < _LONGEST_STEP)[:, None], step, 0.0)
+        cost = jnp.sum(jnp.square(_columns(point + step, data, slant, weight)[:, 5]), axis=1)
+        better = cost < products[:, 5, 5]
+        points = points.at[sky].set(jnp.where(better[:, None], point + step, point))
+        costs = costs.at[sky].set(jnp.where(better, cost, products[:, 5, 5]))
+        return jnp.minimum(sky + lanes, count - 1), points, costs
+
+    # few skies at a time stay in the processor's cache; with their numbers carried along XLA makes vectors of the
+    # directions, which it does not if they are computed from the turn's
+    begin = jnp.arange(lanes), point, jnp.zeros_like(point[:, 0])
+    _, point, cost = jax.lax.fori_loop(0, -(-count // lanes), turn, begin)
+    return point, cost
+
+
+@jax.custom_jvp
+def _minimum(point, cost, settled, skies: _Skies, slant, weight):
+    """Point and cost with the derivatives of the minimum, where the slope stays 0, in skies that are at one."""
+    return point, cost
+
+
+@_minimum.defjvp
+def _minimum_jvp(primals, tangents):
+    (_, _, settled, *data), (_, _, _, *moving) = primals, tangents
+    point, cost = _minimum(*primals)
+
+    def slope_and_cost(point, *data):
+        columns = _columns(point, *data)
+        return jnp.sum(columns[:, :5] * columns[:, 5:], axis=2), jnp.sum(jnp.square(columns[:, 5]), axis=1)
+
+    def along(one):
+        # of all skies at once: no sky's slope knows the point of another
+        return jax.jvp(lambda p: slope_and_cost(p, *data)[0], (point,), (jnp.broadcast_to(one, point.shape),))[1]
+
+    _, (drift, rise) = jax.jvp(lambda *data: slope_and_cost(point, *data), tuple(data), tuple(moving))
+    unit = jnp.eye(5, dtype=point.dtype)
+    hessian = jnp.where(settled[:, None, None], jax.vmap(along, out_axes=2)(unit), unit[None])
+    drift = jnp.where(settled[:, None], drift, 0.0)
+    return (point, cost), (-_solve(hessian, drift), jnp.where(settled, rise, 0.0))
