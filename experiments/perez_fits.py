@@ -3,15 +3,17 @@
     python experiments/perez_fits.py [--skies 10000] [--blocks 5] [--out FILE.json]
 
 Everyone has two cores. Scipy: `least_squares(method="lm")` with the analytic Jacobian, its default tolerances, the same
-unknowns and the same start, in two processes with one BLAS thread each; as a second line in plain A-E. Here: one
-process for each dtype, two threads that call `fit_perez` on half of the skies each; as a second line one call with all
-of them, and for the record what `vmap` and `lax.map` make of the same steps, one sky each. In each block scipy fits its
-share of the skies and `fit_perez` all of them, in turn; us per fit are medians over the blocks, compilation is apart.
+unknowns and the same start, in two processes with one BLAS thread each; two more lines have the loose tolerance of
+`fit_perez`, and plain A-E. Here: one process for each dtype, two threads that call `fit_perez` on half of the skies
+each; one more line is one call with all of them; and for the record what `vmap` and `lax.map` make of the same steps,
+one sky each. In each block scipy fits its share of the skies and `fit_perez` all of them, in turn; us per fit are
+medians over the blocks, compilation is apart.
 All costs are computed again in float64 from A-E as they came back. A "failure" is a cost more than 0.1 % above that of
 scipy in the same unknowns; scipy's own are counted alike.
 """
 
 import argparse
+import itertools
 import json
 import multiprocessing
 import os
@@ -42,6 +44,8 @@ START = (-1.0, -0.4, 8.0, -2.3, 0.4)
 HIGHEST_VIEW, UNIT = 85.0, 0.05
 SLACK = 1e-3
 THREADS, CHUNK, MAPPED = 2, 100, 1000
+# name: whether in plain A-E, and the tolerance where it is not scipy's own
+SCIPY = {"scipy": (False, None), "scipy, tolerance 3e-5": (False, 3e-5), "scipy, plain A-E": (True, None)}
 # what a worker process works on
 GIVEN: dict = {}
 
@@ -140,9 +144,10 @@ def in_plain(share, weight, slant, gamma, square, sun):
     return both
 
 
-def scipy_fits(skies: range, plain: bool) -> list:
+def scipy_fits(skies: range, plain: bool, tolerance: float | None) -> list:
     """A-E, evaluations and MINPACK's status of each sky."""
     found, last = [], {}
+    tolerances = {} if tolerance is None else {"ftol": tolerance, "xtol": tolerance}
     slant = 1.0 / np.maximum(np.cos(GIVEN["theta"]), 0.01) - 1.0
     for i in skies:
         light, gamma, sun = GIVEN["light"][i], GIVEN["gamma"][i], GIVEN["sun"][i]
@@ -161,7 +166,7 @@ def scipy_fits(skies: range, plain: bool) -> list:
 
         start = np.array(START) if plain else unknowns(START, sun)
         with np.errstate(all="ignore"):
-            result = least_squares(residual, start, jacobian, method="lm")
+            result = least_squares(residual, start, jacobian, method="lm", **tolerances)
             found.append((result.x if plain else coefficients(result.x, sun), result.nfev, result.status))
     return found
 
@@ -174,38 +179,33 @@ def begin(path: str, double: bool) -> None:
     GIVEN.update(np.load(path))
 
 
-def fit(part: slice):
-    g = GIVEN["device"]
-    found = fit_perez(
-        g["light"][part], g["light"][part, -1], g["theta"], g["gamma"][part], g["sun"][part], g["weight"], start=START
-    )
-    return jax.block_until_ready(found)
-
-
-def parts(count: int, threads: int) -> list[slice]:
-    return [slice(k * count // threads, (k + 1) * count // threads) for k in range(threads)]
+def arguments_of(part: slice) -> tuple:
+    """Of a fit of some of the skies, in place as arrays of their own."""
+    light, gamma, sun = (as_float(GIVEN[name][part]) for name in ("light", "gamma", "sun"))
+    return jax.block_until_ready((light, light[:, -1], as_float(GIVEN["theta"]), gamma, sun, as_float(GIVEN["weight"])))
 
 
 def our_fits(threads: int) -> tuple[float, list[np.ndarray]]:
     """Seconds, and A-E, cost, evaluations and whether converged, of all skies."""
-    if "device" not in GIVEN:
-        GIVEN["device"] = {name: as_float(value) for name, value in GIVEN.items()}
+    if threads not in GIVEN:
+        count = len(GIVEN["sun"])
+        ends = [k * count // threads for k in range(threads + 1)]
+        GIVEN[threads] = [arguments_of(slice(*pair)) for pair in itertools.pairwise(ends)]
     with ThreadPoolExecutor(threads) as pool:
         start = time.perf_counter()
-        found = list(pool.map(fit, parts(len(GIVEN["sun"]), threads)))
+        found = list(pool.map(lambda part: jax.block_until_ready(fit_perez(*part, start=START)), GIVEN[threads]))
         seconds = time.perf_counter() - start
     return seconds, [np.concatenate(arrays) for arrays in zip(*found, strict=True)]
 
 
 def mapped_fits() -> dict:
     """us per fit of one sky each by `vmap` and `lax.map`, compiled before."""
-    g = GIVEN["device"]
+    light, _, theta, gamma, sun, weight = arguments_of(slice(MAPPED))
 
     def one(light, gamma, sun):
-        found = fit_perez(light[None], light[None, -1], g["theta"], gamma[None], sun[None], g["weight"], start=START)
-        return found.cost
+        return fit_perez(light[None], light[None, -1], theta, gamma[None], sun[None], weight, start=START).cost
 
-    skies = tuple(g[name][:MAPPED] for name in ("light", "gamma", "sun"))
+    skies = light, gamma, sun
     us = {}
     for name, run in {"vmap": jax.vmap(one), "lax.map": lambda *s: jax.lax.map(lambda v: one(*v), s)}.items():
         program = jax.jit(run).lower(*skies).compile()
@@ -280,39 +280,37 @@ def main():
         ours = {d: ProcessPoolExecutor(1, spawn, begin, (path, d == "float64")) for d in ("float32", "float64")}
         rival = ProcessPoolExecutor(THREADS, spawn, begin, (path, True))
 
-        def scipy_block(block: int, plain: bool):
+        def scipy_block(block: int, settings):
             """Seconds and the fits of one block of the skies, in chunks that both processes draw from."""
             skies = range(count)[block * count // blocks : (block + 1) * count // blocks]
             chunks = [skies[k : k + CHUNK] for k in range(0, len(skies), CHUNK)]
             start = time.perf_counter()
-            futures = [rival.submit(scipy_fits, chunk, plain) for chunk in chunks]
+            futures = [rival.submit(scipy_fits, chunk, *settings) for chunk in chunks]
             found = [fit for future in futures for fit in future.result()]
             return time.perf_counter() - start, found
 
         # processes start, programs compile
-        wait([rival.submit(scipy_fits, range(CHUNK), plain) for plain in (False, True) for _ in range(4)])
+        wait([rival.submit(scipy_fits, range(CHUNK), *settings) for settings in SCIPY.values() for _ in range(4)])
         warm = {}
         for dtype, process in ours.items():
             warm[dtype] = {name: process.submit(our_fits, n).result()[0] for name, n in (("two", 2), ("one", 1))}
-        times = {name: [] for name in ("scipy", "scipy, plain A-E")}
-        found = {name: [] for name in times}
+        times = {name: [] for name in SCIPY}
+        found = {name: [] for name in SCIPY}
         for block in range(blocks):
-            for name, plain in (("scipy", False), ("scipy, plain A-E", True)):
-                seconds, fits = scipy_block(block, plain)
+            for name, settings in SCIPY.items():
+                seconds, fits = scipy_block(block, settings)
                 times[name].append(1e6 * seconds * blocks / count)
                 found[name].extend(fits)
-                # both of ours after each of scipy's
-                for dtype, process in ours.items():
-                    label = f"{dtype}, two threads" if not plain else f"{dtype}, one call"
-                    seconds, fits = process.submit(our_fits, 1 if plain else THREADS).result()
+            for dtype, process in ours.items():
+                for label, threads in ((f"{dtype}, two threads", THREADS), (f"{dtype}, one call", 1)):
+                    seconds, found[label] = process.submit(our_fits, threads).result()
                     times.setdefault(label, []).append(1e6 * seconds / count)
-                    found[label] = fits
         mapped = ours["float32"].submit(mapped_fits).result()
         for process in (*ours.values(), rival):
             process.shutdown()
 
     rows, best = {}, None
-    for name in ("scipy", "scipy, plain A-E"):
+    for name in SCIPY:
         x, evaluations, status = (np.array(v) for v in zip(*found[name], strict=True))
         cost = costs(given, x)
         best = cost if best is None else best
