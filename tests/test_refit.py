@@ -116,6 +116,8 @@ def test_coefficients_survive_their_file(refitted, tmp_path):
     write_coefficients(result, tmp_path / "coefficients.json")
     again = read_coefficients(tmp_path / "coefficients.json")
     np.testing.assert_array_equal(evaluated(again, result), evaluated(result.refitted, result))
+    for model in (again, result.refitted):
+        assert [bool(model.valid(3.0, np.radians(sun))) for sun in (0.0, 82.5, 84.0)] == [True, True, False]
     record = json.loads((tmp_path / "coefficients.json").read_text())
     assert (record["schema"], record["version"], record["form"]) == ("skyfit.coefficients", 2, "linear")
     assert (
@@ -141,6 +143,7 @@ def test_coefficients_survive_their_file(refitted, tmp_path):
         (lambda r: r["refitted"]["distribution"][0].pop(), "coefficients"),
         (lambda r: r["refitted"].update(distribution="abc"), "coefficients"),
         (lambda r: r.update(valid={"turbidity": [2.0]}), "coefficients"),
+        (lambda r: r["valid"].update(sun_zenith_deg=[0.0]), "coefficients"),
         (lambda r: r.update(valid=None), "coefficients"),
         (lambda r: r.update(version=1), "version 2"),
         (lambda r: r.update(schema="skyfit.fit"), "skyfit.coefficients"),

@@ -55,8 +55,8 @@ def write_coefficients(refit: Refit, path) -> None:
 def read_coefficients(path) -> Preetham | ExtendedPreetham:
     """The refitted model of a file that `write_coefficients` made.
 
-    **Arguments:** `path`. **Returns:** `ExtendedPreetham`, or `Preetham` with the file's range of turbidity as its
-    valid one. **Errors:** `ValueError` naming the file and what is wrong with it.
+    **Arguments:** `path`. **Returns:** `ExtendedPreetham`, or `Preetham` with the file's range of turbidity and sun as
+    its valid one. **Errors:** `ValueError` naming the file and what is wrong with it.
     """
     path = Path(path)
     try:
@@ -72,7 +72,8 @@ def read_coefficients(path) -> Preetham | ExtendedPreetham:
     try:
         arrays = {name: np.asarray(record["refitted"][name], float) for name in shapes}
         low, high = (float(turbidity) for turbidity in record["valid"]["turbidity"])
-    except (KeyError, TypeError, ValueError) as error:
+        lowest_sun = np.radians(float(record["valid"]["sun_zenith_deg"][1]))
+    except (KeyError, IndexError, TypeError, ValueError) as error:
         raise ValueError(f"{path.name}: the coefficients are incomplete: {error}") from None
     for name, shape in shapes.items():
         found = arrays[name].shape
@@ -88,6 +89,8 @@ def read_coefficients(path) -> Preetham | ExtendedPreetham:
         **{name: as_float(values) for name, values in arrays.items()},
         lowest_turbidity=low,
         fitted_turbidity=(low, high),
+        # float32 of an angle may be above it
+        lowest_sun=float(lowest_sun) + 1e-6,
     )
 
 
