@@ -427,11 +427,14 @@ def test_a_folder_of_instrument_files_is_inverted(shared, skyfit_command, tmp_pa
 @pytest.mark.slow
 def test_refit_writes_coefficients_and_a_picture(skyfit_command, tmp_path):
     done = skyfit_command(
-        "refit", "--directions", 60, "--preset", "draft", "--geometry", "flat", "--out", "r", cwd=tmp_path
-    )
+        "refit", "--directions", 60, "--preset", "draft", "--geometry", "flat", "--asymmetry", 0.65, "--out", "r",
+        cwd=tmp_path,
+    )  # fmt: skip
     assert sorted(path.name for path in (tmp_path / "r").iterdir()) == ["coefficients.json", "errors.png", "skies.png"]
     assert narrow(done.stdout) and "published" in done.stdout and "refitted" in done.stdout
     record = json.loads((tmp_path / "r" / "coefficients.json").read_text())
+    made = {"form": "linear", "haze": "henyey-greenstein", "asymmetry": 0.65, "pressure": 101325.0, "geometry": "flat"}
+    assert made.items() <= record["simulated"].items()
     assert record["fitted"]["overall"]["refitted"]["luminance"] < 0.1
     # a row for each sky, and the two of all skies
     table = [line for line in done.stdout.splitlines() if line[:1] == " " and line.strip()[:1].isdigit()]

@@ -113,7 +113,7 @@ def test_xyz_of_a_model_has_its_luminance_and_chromaticity(refitted):
 
 def test_coefficients_survive_their_file(refitted, tmp_path):
     result, _ = refitted
-    write_coefficients(result, tmp_path / "coefficients.json")
+    write_coefficients(result, tmp_path / "coefficients.json", {"pressure": 600.0, "haze": "bullrich"})
     again = read_coefficients(tmp_path / "coefficients.json")
     np.testing.assert_array_equal(evaluated(again, result), evaluated(result.refitted, result))
     for model in (again, result.refitted):
@@ -123,6 +123,7 @@ def test_coefficients_survive_their_file(refitted, tmp_path):
     assert (
         len(record["fitted"]["skies"]) == len(record["held_out"]["skies"]) == 60 and record["result"] == result.result
     )
+    assert record["simulated"] == {"pressure": 600.0, "haze": "bullrich"}
     assert record["valid"] == {"sun_zenith_deg": [0.0, 82.5], "turbidity": [2.0, 6.0]}
     assert record["fitted"]["overall"]["refitted"]["luminance"] == result.fitted.overall["refitted"][0]
     for i in (0, 31, 59):

@@ -62,6 +62,7 @@ _DRAWN = {
 
 @app.command("refit")
 def refit_command(
+    context: typer.Context,
     out: OutFolder,
     form: Annotated[FormName, typer.Option(help="linear in turbidity as published, or T 1-10 and sun to 92")] = (
         FormName.linear
@@ -102,7 +103,7 @@ def refit_command(
         )  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
     coefficients, errors, skies = (out / name for name in _OUT_FILES)
-    write_coefficients(result, coefficients)
+    write_coefficients(result, coefficients, _settings(context, phase))
     plot_refit(result, errors)
     _draw_skies(result, skies, _DRAWN[form])
     _print_refit(result)
@@ -117,6 +118,14 @@ def _phase(form: FormName, haze: HazeName | None, asymmetry: float | None) -> Ab
     if (haze or usual) is HazeName.bullrich:
         return Tabulated.bullrich()
     return HenyeyGreenstein(in_range("--asymmetry", 0.7 if asymmetry is None else asymmetry, -0.98, 0.98))
+
+
+def _settings(context: typer.Context, phase: AbstractPhase) -> dict:
+    """The options that made the skies, with the phase function that was meant."""
+    henyey = isinstance(phase, HenyeyGreenstein)
+    haze = HazeName.henyey_greenstein if henyey else HazeName.bullrich
+    meant = {"haze": haze, "asymmetry": float(phase.asymmetry) if henyey else None}
+    return {name: value for name, value in (context.params | meant).items() if name != "out"}
 
 
 def _print_refit(result: Refit) -> None:
