@@ -12,6 +12,7 @@ from .atmosphere import (
     Layered as Layered,
     Levels as Levels,
     meteorological_range as meteorological_range,
+    optical_depth_to_turbidity as optical_depth_to_turbidity,
     Ozone as Ozone,
     OzoneLayer as OzoneLayer,
     Prescribed as Prescribed,
@@ -19,6 +20,7 @@ from .atmosphere import (
     RayleighPhase as RayleighPhase,
     Tabulated as Tabulated,
     turbidity_from_range as turbidity_from_range,
+    turbidity_to_optical_depth as turbidity_to_optical_depth,
     TwoTermHenyeyGreenstein as TwoTermHenyeyGreenstein,
 )
 from .draw import plot as plot
@@ -43,13 +45,16 @@ from .scene import (
     fisheye as fisheye,
     hemisphere as hemisphere,
     Scene as Scene,
+    short_sun_position as short_sun_position,
     Sky as Sky,
+    solar_time as solar_time,
     unit_vectors as unit_vectors,
 )
 from .sky import (
     CIEClear as CIEClear,
     ExtendedPreetham as ExtendedPreetham,
     Intermediate as Intermediate,
+    overcast_luminance as overcast_luminance,
     Perez as Perez,
     Preetham as Preetham,
     Sunlight as Sunlight,

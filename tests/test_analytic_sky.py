@@ -5,6 +5,7 @@ import math
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jaxtyping
 import numpy as np
 import pytest
 
@@ -138,6 +139,19 @@ def test_what_the_model_has_no_answer_for_is_refused_where_it_can_be_seen(double
             if call is calls["radiance"]:
                 assert np.all(np.asarray(result) >= 0.0)
     assert model.rgb(1.7, sun, view).shape == (3, 60)
+
+
+def test_shapes_that_would_be_taken_for_others_are_refused(double, monkeypatch):
+    # the tests' own check of annotations would be first
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    model, at = Preetham.published(), scene()
+    sun, view = vectors(at)
+    for call in (lambda t: model.xyz(t, at), lambda t: model.radiance(t, at), lambda t: model.rgb(t, sun, view)):
+        with pytest.raises(ValueError, match=r"`turbidity` must be one number .* got shape \(5,\)"):
+            call(np.linspace(2.0, 6.0, 5))
+    for wrong in ((sun, view.T), (sun[:2], view), (jnp.asarray(1.0), view)):
+        with pytest.raises(ValueError, match="`sun` and `view` must have east, north, up as their first axis"):
+            model.rgb(3.0, *wrong)
 
 
 def test_a_batch_is_flagged_and_raises_nothing(double):

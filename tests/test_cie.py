@@ -129,6 +129,13 @@ def test_spectra_are_mixed_as_their_luminances_are(x64):
         np.testing.assert_allclose(found, expected, rtol=1e-7)
 
 
+def test_below_the_horizon_the_mixed_sky_is_dark():
+    scene = skyfit.Scene.from_degrees(50.0, skyfit.Directions(np.array([1.0, 2.0]), np.zeros(2)), WAVELENGTH)
+    sky = Intermediate(CIEClear())
+    found = np.asarray(sky.radiance(12.0, scene, jnp.zeros((2, WAVELENGTH.size))))
+    assert np.all(found[0] > 0.0) and np.all(found[1] == 0.0)
+
+
 def test_the_share_is_smooth_and_its_slope_is_the_central_difference(x64):
     sky = Intermediate(Preetham.published())
     turbidity = jnp.linspace(2.0, 14.0, 49)

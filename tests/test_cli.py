@@ -8,6 +8,7 @@ import pytest
 import xarray
 
 import skyfit
+from skyfit.cli.simulate import turbidity_of
 from skyfit.fit import PARAMETERS
 
 
@@ -218,6 +219,7 @@ def _rows(sun_zenith):
 
 
 SIMULATE = ("simulate", "--sun-zenith", "60", "--solver", "single", "--out", "new.nc")
+ANALYTIC = ("simulate", "--sun-zenith", "60", "--out", "new.nc")
 INVERT = ("invert", "sky.nc", "--solver", "single", "--geometry", "flat", "--preset", "draft", "--out", "new")
 BROKEN = {
     "both hazes": ((*SIMULATE, "--turbidity", "3", "--aerosol-optical-depth", "0.2"), ["--turbidity", "exactly one"]),
@@ -228,10 +230,24 @@ BROKEN = {
     ),
     "range beyond pure air": ((*SIMULATE, "--meteorological-range", "900"), ["--meteorological-range", "900"]),
     "published out of its range": (
-        (*SIMULATE, "--turbidity", "1.5", "--coefficients", "published"),
+        (*ANALYTIC, "--turbidity", "1.5", "--coefficients", "published"),
         ["`turbidity`", "1.7", "1.5"],
     ),
-    "coefficients missing": ((*SIMULATE, "--turbidity", "3", "--coefficients", "none.json"), ["none.json"]),
+    "coefficients missing": ((*ANALYTIC, "--turbidity", "3", "--coefficients", "none.json"), ["none.json"]),
+    "coefficients with ozone": (
+        (*ANALYTIC, "--turbidity", "3", "--coefficients", "extended", "--ozone", "300"),
+        ["--ozone", "--coefficients"],
+    ),
+    "coefficients with a solver": (
+        (*SIMULATE, "--turbidity", "3", "--coefficients", "extended"),
+        ["--solver", "--coefficients"],
+    ),
+    "asymmetry of a table": (
+        ("refit", "--haze", "bullrich", "--asymmetry", "0.6", "--out", "new"),
+        ["--asymmetry", "bullrich"],
+    ),
+    # refit's own haze is a table: an asymmetry must not be lost with it
+    "asymmetry of refit": (("refit", "--asymmetry", "1", "--out", "new"), ["--asymmetry", "0.98", "got 1"]),
     "refit below the horizon": (("refit", "--flat-below", "95", "--out", "new"), ["--flat-below", "95"]),
     "refit with no haze": (("refit", "--haze-height", "0", "--out", "new"), ["--haze-height", "0"]),
     "turbidity too small": ((*SIMULATE, "--turbidity", "0.5"), ["--turbidity", "0.5"]),
@@ -411,11 +427,14 @@ def test_a_folder_of_instrument_files_is_inverted(shared, skyfit_command, tmp_pa
 @pytest.mark.slow
 def test_refit_writes_coefficients_and_a_picture(skyfit_command, tmp_path):
     done = skyfit_command(
-        "refit", "--directions", 60, "--preset", "draft", "--geometry", "flat", "--out", "r", cwd=tmp_path
-    )
+        "refit", "--directions", 60, "--preset", "draft", "--geometry", "flat", "--asymmetry", 0.65, "--out", "r",
+        cwd=tmp_path,
+    )  # fmt: skip
     assert sorted(path.name for path in (tmp_path / "r").iterdir()) == ["coefficients.json", "errors.png", "skies.png"]
     assert narrow(done.stdout) and "published" in done.stdout and "refitted" in done.stdout
     record = json.loads((tmp_path / "r" / "coefficients.json").read_text())
+    made = {"form": "linear", "haze": "henyey-greenstein", "asymmetry": 0.65, "pressure": 101325.0, "geometry": "flat"}
+    assert made.items() <= record["simulated"].items()
     assert record["fitted"]["overall"]["refitted"]["luminance"] < 0.1
     # a row for each sky, and the two of all skies
     table = [line for line in done.stdout.splitlines() if line[:1] == " " and line.strip()[:1].isdigit()]
@@ -447,6 +466,11 @@ def test_simulate_by_coefficients_and_by_visibility(skyfit_command, tmp_path):
         )  # fmt: skip
         seen[name] = skyfit.read(tmp_path / "u.nc").radiance
     np.testing.assert_allclose(seen["--turbidity"], seen["--meteorological-range"], rtol=1e-4)
+
+
+def test_a_visibility_is_that_of_haze_of_its_height():
+    found = turbidity_of(None, None, float(skyfit.meteorological_range(2.0, 4000.0)) / 1e3, 4000.0)
+    assert found == pytest.approx(2.0, rel=1e-5)
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from skies import fit_of_made_sky
 from skyfit import hemisphere
 from skyfit.draw import plot, plot_skies
 from skyfit.draw.dome import cells, interpolated, pixels, place
+from skyfit.draw.domes import _pictures
 from skyfit.fit import Fit
 
 
@@ -127,6 +128,15 @@ def test_skies_are_drawn(tmp_path):
     blue = (picture[..., 2] - picture[..., 0]) > 0.05
     assert blue.mean() > 0.15
     assert [path.name for path in tmp_path.iterdir()] == ["skies.png"]
+
+
+def test_a_bright_horizon_leaves_no_holes_beside_it(tmp_path):
+    directions = hemisphere(343)
+    bright = np.asarray(directions.zenith)[:, None] > 1.54
+    grey = np.where(bright, 100.0, 1.0) * np.ones(3)
+    plot_skies(directions, [("steep", {"simulated": grey})], tmp_path / "skies.png", [(2.0, 0.0)])
+    dome = _pictures(np.asarray(directions.zenith), np.asarray(directions.azimuth), [[grey]])[0][0]
+    assert np.nanmin(dome) > 0.3
 
 
 def test_one_sky_alone_and_directions_that_are_given_twice(tmp_path):

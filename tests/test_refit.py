@@ -114,14 +114,17 @@ def test_xyz_of_a_model_has_its_luminance_and_chromaticity(refitted):
 
 def test_coefficients_survive_their_file(refitted, tmp_path):
     result, _ = refitted
-    write_coefficients(result, tmp_path / "coefficients.json")
+    write_coefficients(result, tmp_path / "coefficients.json", {"pressure": 600.0, "haze": "bullrich"})
     again = read_coefficients(tmp_path / "coefficients.json")
     np.testing.assert_array_equal(evaluated(again, result), evaluated(result.refitted, result))
+    for model in (again, result.refitted):
+        assert [bool(model.valid(3.0, np.radians(sun))) for sun in (0.0, 82.5, 84.0)] == [True, True, False]
     record = json.loads((tmp_path / "coefficients.json").read_text())
     assert (record["schema"], record["version"], record["form"]) == ("skyfit.coefficients", 2, "linear")
     assert (
         len(record["fitted"]["skies"]) == len(record["held_out"]["skies"]) == 60 and record["result"] == result.result
     )
+    assert record["simulated"] == {"pressure": 600.0, "haze": "bullrich"}
     assert record["valid"] == {"sun_zenith_deg": [0.0, 82.5], "turbidity": [2.0, 6.0]}
     assert record["fitted"]["overall"]["refitted"]["luminance"] == result.fitted.overall["refitted"][0]
     for i in (0, 31, 59):
@@ -142,6 +145,7 @@ def test_coefficients_survive_their_file(refitted, tmp_path):
         (lambda r: r["refitted"]["distribution"][0].pop(), "coefficients"),
         (lambda r: r["refitted"].update(distribution="abc"), "coefficients"),
         (lambda r: r.update(valid={"turbidity": [2.0]}), "coefficients"),
+        (lambda r: r["valid"].update(sun_zenith_deg=[0.0]), "coefficients"),
         (lambda r: r.update(valid=None), "coefficients"),
         (lambda r: r.update(version=1), "version 2"),
         (lambda r: r.update(schema="skyfit.fit"), "skyfit.coefficients"),

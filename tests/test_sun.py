@@ -96,6 +96,15 @@ def test_ithaca_on_a_may_morning(x64):
     assert printed == pytest.approx(-54.8, abs=0.1)
 
 
+def test_degrees_are_refused():
+    with pytest.raises(ValueError, match="`latitude` must be within .*1.571 rad, got 42.44"):
+        short_sun_position(8.0, 147, 42.44)
+    with pytest.raises(ValueError, match="`longitude_west` must be within .*6.283 rad, got 76.5"):
+        solar_time(8.0, 147, 76.5, 1.3)
+    with pytest.raises(ValueError, match="`meridian_west` must be within .*rad, got 75"):
+        solar_time(8.0, 147, 1.3, 75.0)
+
+
 def test_longitudes_count_west(x64):
     """Counted east the sun would be where it is two hours of longitude from the meridian of the zone away."""
     _, latitude, longitude, zone = PLACES[1]

@@ -66,7 +66,8 @@ def test_bouguers_law_holds_for_scattering_and_ozone(x64):
 
 def test_a_hazeless_sun_is_never_brighter_than_the_airless_one():
     for turbidity in (0.0, 0.9, 1.0):
-        factors = Sunlight(turbidity, ozone=0.0, water_vapour=0.0).factors(0.5, VISIBLE)
+        # traced: written out, a turbidity below one is refused
+        factors = jax.jit(lambda t: Sunlight(t, ozone=0.0, water_vapour=0.0).factors(0.5, VISIBLE))(turbidity)
         assert np.all(np.asarray(factors.aerosol) <= 1.0)
         assert np.all(np.asarray(factors.ozone) == 1.0) and np.all(np.asarray(factors.water_vapour) == 1.0)
 
@@ -137,6 +138,28 @@ def test_radiance_is_irradiance_over_the_disc_and_nothing_at_night():
         sunlight.irradiance(scene_of(40.0, height=1000.0))
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"turbidity": 0.5}, "`turbidity` must be at least 0.995, got 0.5"),
+        ({"turbidity": math.nan}, "`turbidity` must be at least"),
+        # centimetres and Dobson units
+        ({"turbidity": 2.0, "ozone": 0.35}, "`ozone` must be between 0 and 0.01 m, got 0.3"),
+        ({"turbidity": 2.0, "ozone": -0.001}, "`ozone` must be between"),
+        ({"turbidity": 2.0, "water_vapour": 2.0}, "`water_vapour` must be between 0 and 0.2 m, got 2"),
+    ],
+)
+def test_amounts_in_other_units_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Sunlight(**arguments)
+
+
+def test_the_horizontal_sun_shines_in_either_precision():
+    for wide in (False, True):
+        with jax.enable_x64(wide):
+            assert np.all(np.asarray(Sunlight(2.0).irradiance(scene_of(90.0, np.array([600.0, 700.0])))) > 0.0)
+
+
 def test_beyond_the_paper_leckners_coefficients_go_on(x64):
     """Water at 937 nm and ozone's Huggins bands are no silent one."""
     nm = np.array([310.0, 937.0])
@@ -147,8 +170,8 @@ def test_beyond_the_paper_leckners_coefficients_go_on(x64):
     assert float(factors.water_vapour[1]) == pytest.approx(math.exp(-0.2385 * x / (1.0 + 20.07 * x) ** 0.45), rel=1e-9)
     # what the paper prints stays inside its range
     paper = read_table("preetham_table2_spectra.csv")
-    inside = Sunlight(1.0, ozone=1.0).factors(0.0, paper["wavelength_nm"]).ozone
-    np.testing.assert_allclose(-np.log(inside) / m, np.nan_to_num(paper["ozone_absorption"]), atol=1e-9)
+    inside = Sunlight(1.0, ozone=0.01).factors(0.0, paper["wavelength_nm"]).ozone
+    np.testing.assert_allclose(-np.log(inside) / (0.01 * m), np.nan_to_num(paper["ozone_absorption"]), atol=1e-9)
     for bad in (299.0, 1101.0, float("nan")):
         with pytest.raises(ValueError, match="`wavelength_nm` must be within 300-1100 nm"):
             Sunlight(2.0).transmittance(0.0, np.array([550.0, bad]))

@@ -112,7 +112,7 @@ class Layered(AbstractProfile):
 class Levels(AbstractProfile):
     r"""A table: density that changes exponentially with height between levels, $\rho_i (\rho_{i+1}/\rho_i)^t$.
 
-    `height` of the levels in m, increasing, the first on the ground; `density` there, > 0, in any unit: the column
+    `height` of the levels in m, increasing, the first on the ground; `density_at` them, > 0, in any unit: the column
     is normalised. Nothing lies above the last level. Solvers on a sphere integrate layer by layer, at that cost;
     `SingleScattering.normal` has Elterman's haze to 0.2 %, whose layer aloft the nodes of a smooth view see coarsely.
     """

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from ..atmosphere import HenyeyGreenstein, SEA_LEVEL_PRESSURE, Tabulated, turbidity_to_optical_depth
+from ..atmosphere import AbstractPhase, HenyeyGreenstein, SEA_LEVEL_PRESSURE, Tabulated, turbidity_to_optical_depth
 from ..draw import plot_refit, plot_skies
 from ..files import write_coefficients
 from ..fit import Comparison, model_xyz, Refit, refit
@@ -62,6 +62,7 @@ _DRAWN = {
 
 @app.command("refit")
 def refit_command(
+    context: typer.Context,
     out: OutFolder,
     form: Annotated[FormName, typer.Option(help="linear in turbidity as published, or T 1-10 and sun to 92")] = (
         FormName.linear
@@ -70,7 +71,9 @@ def refit_command(
     haze: Annotated[
         HazeName | None, typer.Option(help="phase function; else the paper's Bullrich, extended: henyey-greenstein")
     ] = None,
-    asymmetry: Annotated[float, typer.Option(help="of henyey-greenstein")] = 0.7,
+    asymmetry: Annotated[
+        float | None, typer.Option(help="of henyey-greenstein, which it implies  [default: 0.7]")
+    ] = None,
     angstrom_exponent: AngstromExponent = 1.3,
     single_scattering_albedo: SingleScatteringAlbedo = 0.95,
     haze_height: HazeHeight = 1200.0,
@@ -88,9 +91,7 @@ def refit_command(
     in_range("--directions", directions, 20, 100000)
     if flat_below is not None:
         in_range("--flat-below", flat_below, 0.0, 90.0)
-    usual = HazeName.bullrich if form is FormName.linear else HazeName.henyey_greenstein
-    bullrich = (haze or usual) is HazeName.bullrich
-    phase = Tabulated.bullrich() if bullrich else HenyeyGreenstein(in_range("--asymmetry", asymmetry, -0.98, 0.98))
+    phase = _phase(form, haze, asymmetry)
     by_depth = make_atmosphere(
         phase, angstrom_exponent, single_scattering_albedo, haze_height, ground_albedo, ozone, pressure
     )
@@ -102,11 +103,29 @@ def refit_command(
         )  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
     coefficients, errors, skies = (out / name for name in _OUT_FILES)
-    write_coefficients(result, coefficients)
+    write_coefficients(result, coefficients, _settings(context, phase))
     plot_refit(result, errors)
     _draw_skies(result, skies, _DRAWN[form])
     _print_refit(result)
     console.print(f"written: {coefficients}, {errors}, {skies}", highlight=False)
+
+
+def _phase(form: FormName, haze: HazeName | None, asymmetry: float | None) -> AbstractPhase:
+    """The haze's phase function: as named, of the asymmetry that was given, or the usual one of the form."""
+    if haze is HazeName.bullrich and asymmetry is not None:
+        raise ValueError("`--asymmetry` must be left out with `--haze bullrich`, a table")
+    usual = HazeName.bullrich if form is FormName.linear and asymmetry is None else HazeName.henyey_greenstein
+    if (haze or usual) is HazeName.bullrich:
+        return Tabulated.bullrich()
+    return HenyeyGreenstein(in_range("--asymmetry", 0.7 if asymmetry is None else asymmetry, -0.98, 0.98))
+
+
+def _settings(context: typer.Context, phase: AbstractPhase) -> dict:
+    """The options that made the skies, with the phase function that was meant."""
+    henyey = isinstance(phase, HenyeyGreenstein)
+    haze = HazeName.henyey_greenstein if henyey else HazeName.bullrich
+    meant = {"haze": haze, "asymmetry": float(phase.asymmetry) if henyey else None}
+    return {name: value for name, value in (context.params | meant).items() if name != "out"}
 
 
 def _print_refit(result: Refit) -> None:

@@ -41,6 +41,13 @@ from .options import (
 )
 
 
+# what only a simulation heeds
+_OF_SIMULATIONS = (
+    "angstrom_exponent", "single_scattering_albedo", "asymmetry", "haze_height", "ground_albedo", "ozone", "pressure",
+    "fwhm", "solver", "preset", "geometry",
+)  # fmt: skip
+
+
 def _wavelengths(text: str) -> np.ndarray:
     """Wavelengths from "first:last:step" or a list with commas, nm."""
     try:
@@ -58,7 +65,9 @@ def _wavelengths(text: str) -> np.ndarray:
     return np.arange(parts[0], parts[1] + 0.5 * parts[2], parts[2])
 
 
-def _turbidity(turbidity: float | None, optical_depth: float | None, range_km: float | None) -> float:
+def turbidity_of(
+    turbidity: float | None, optical_depth: float | None, range_km: float | None, haze_height: float
+) -> float:
     """Preetham's turbidity from the one of its measures that was given."""
     if sum(value is not None for value in (turbidity, optical_depth, range_km)) != 1:
         raise ValueError(
@@ -70,7 +79,8 @@ def _turbidity(turbidity: float | None, optical_depth: float | None, range_km: f
         return float(optical_depth_to_turbidity(in_range("--aerosol-optical-depth", optical_depth, 0.0, 5.0)))
     assert range_km is not None
     clearest = float(meteorological_range_of(1.0)) / 1e3
-    return float(turbidity_from_range(1e3 * in_range("--meteorological-range", range_km, 1.0, clearest)))
+    metres = 1e3 * in_range("--meteorological-range", range_km, 1.0, clearest)
+    return float(turbidity_from_range(metres, haze_height))
 
 
 def _analytic_sky(name: str) -> AbstractAnalyticSky:
@@ -79,8 +89,19 @@ def _analytic_sky(name: str) -> AbstractAnalyticSky:
     return ExtendedPreetham.shipped() if name == "extended" else read_coefficients(name)
 
 
+def _refuse_what_coefficients_hold(context: typer.Context) -> None:
+    for name in _OF_SIMULATIONS:
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE":
+            option = name.replace("_", "-")
+            raise ValueError(
+                f"`--{option}` must be left out with `--coefficients`, whose atmosphere is that of their fit"
+            )
+
+
 @app.command()
 def simulate(
+    context: typer.Context,
     out: Annotated[Path, typer.Option(help="file to write, .nc or .csv")],
     sun_zenith: Annotated[float, typer.Option(help="degrees")],
     sun_azimuth: Annotated[float, typer.Option(help="degrees clockwise from north")] = 180.0,
@@ -105,7 +126,9 @@ def simulate(
     geometry: GeometryOption = GeometryName.spherical,
 ):
     """Simulate the spectral radiance of a clear sky."""
-    haze = _turbidity(turbidity, aerosol_optical_depth, meteorological_range)
+    haze = turbidity_of(turbidity, aerosol_optical_depth, meteorological_range, haze_height)
+    if coefficients is not None:
+        _refuse_what_coefficients_hold(context)
     analytic = None if coefficients is None else _analytic_sky(coefficients)
     in_range("--sun-zenith", sun_zenith, 0.0, 90.0 if analytic is None else 92.0)
     if out.suffix not in (".nc", ".csv") or not out.absolute().parent.is_dir():

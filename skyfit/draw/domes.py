@@ -20,6 +20,8 @@ _WIDE, _LINE = 14.2, 0.152
 _BAND = (400.0, 700.0)
 # the mean of a sky's luminance in linear sRGB: a bright blue sky, white only around the sun
 _GREY = 0.36
+# of a sky's greatest luminance; what is darker is drawn as this
+_BLACK = 1e-6
 # per cent, where the colours of a luminance error end
 _MOST_ERROR = 50.0
 _MEASURED, _MODEL, _DIFFERENCE = "#1b1b1b", "#d55e00", "RdBu_r"
@@ -319,12 +321,13 @@ def _pictures(zenith, azimuth, rows: list[list[np.ndarray]]) -> list[list[np.nda
     channels = []
     for skies in rows:
         first = np.maximum(np.asarray(skies[0], float)[:, 1], 1e-30)
-        channels += [np.asarray(sky, float) for sky in skies]
+        # of logarithms: a spline through a bright horizon would swing below zero beside it
+        channels += [np.log(np.maximum(np.asarray(sky, float), _BLACK * first.max())) for sky in skies]
         channels += [100.0 * (np.asarray(sky, float)[:, 1:2] / first[:, None] - 1.0) for sky in skies[1:]]
     # one spline for all: the neighbours of a pixel are found once
     whole = interpolated(zenith, azimuth, np.concatenate(channels, axis=1))
     parts = iter(np.split(whole, np.cumsum([c.shape[1] for c in channels])[:-1], axis=-1))
-    return [[next(parts) for _ in skies] + [next(parts)[..., 0] for _ in skies[1:]] for skies in rows]
+    return [[np.exp(next(parts)) for _ in skies] + [next(parts)[..., 0] for _ in skies[1:]] for skies in rows]
 
 
 def _screen(picture, exposure: float):

@@ -7,11 +7,13 @@ constant]` (of the sun's zenith angle in radians); of the extended form `refitte
 [6 numbers][turbidity][sun]` of `skyfit.ExtendedPreetham`. `valid`, the suns and turbidities fitted; `fitted` and
 `held_out` (random skies of that range): `skies`, each with the median and 95th percentile of the relative luminance
 error and the median chromaticity distance to view zenith 80 degrees; `overall`, the same over all those directions of
-skies with the sun to 85 degrees; `rest`, over all others; `result`, how each joint fit ended. What is not known, such
+skies with the sun to 85 degrees; `rest`, over all others; `simulated`, where given, the settings of the skies, by the
+names of the command line's options; `result`, how each joint fit ended. What is not known, such
 as the error of the published formula out of its range, is null.
 """
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -27,10 +29,11 @@ _LINEAR = {"distribution": (3, 5, 2), "zenith_luminance": (3, 2), "zenith_chroma
 _EXTENDED = {"coefficients": (3, 6, None, None)}
 
 
-def write_coefficients(refit: Refit, path) -> None:
+def write_coefficients(refit: Refit, path, settings: Mapping[str, str | float | None] | None = None) -> None:
     """Published and refitted coefficients with their errors, in the schema of this module.
 
-    **Arguments:** `refit`; `path` of a JSON file. **Errors:** `ValueError` where the file cannot be written.
+    **Arguments:** `refit`; `path` of a JSON file; `settings`, what the skies were simulated with, by name.
+    **Errors:** `ValueError` where the file cannot be written.
     """
     degrees, turbidity = np.degrees(refit.fitted.sun_zenith), refit.fitted.turbidity
     linear = isinstance(refit.refitted, Preetham)
@@ -46,6 +49,7 @@ def write_coefficients(refit: Refit, path) -> None:
         },
         "fitted": _comparison(refit.fitted),
         "held_out": _comparison(refit.held_out),
+        **({} if settings is None else {"simulated": dict(settings)}),
         "result": refit.result,
     }
     with atomic(path) as temporary:
@@ -55,8 +59,8 @@ def write_coefficients(refit: Refit, path) -> None:
 def read_coefficients(path) -> Preetham | ExtendedPreetham:
     """The refitted model of a file that `write_coefficients` made.
 
-    **Arguments:** `path`. **Returns:** `ExtendedPreetham`, or `Preetham` with the file's range of turbidity as its
-    valid one. **Errors:** `ValueError` naming the file and what is wrong with it.
+    **Arguments:** `path`. **Returns:** `ExtendedPreetham`, or `Preetham` with the file's range of turbidity and sun as
+    its valid one. **Errors:** `ValueError` naming the file and what is wrong with it.
     """
     path = Path(path)
     try:
@@ -72,7 +76,8 @@ def read_coefficients(path) -> Preetham | ExtendedPreetham:
     try:
         arrays = {name: np.asarray(record["refitted"][name], float) for name in shapes}
         low, high = (float(turbidity) for turbidity in record["valid"]["turbidity"])
-    except (KeyError, TypeError, ValueError) as error:
+        lowest_sun = np.radians(float(record["valid"]["sun_zenith_deg"][1]))
+    except (KeyError, IndexError, TypeError, ValueError) as error:
         raise ValueError(f"{path.name}: the coefficients are incomplete: {error}") from None
     for name, shape in shapes.items():
         found = arrays[name].shape
@@ -88,6 +93,8 @@ def read_coefficients(path) -> Preetham | ExtendedPreetham:
         **{name: as_float(values) for name, values in arrays.items()},
         lowest_turbidity=low,
         fitted_turbidity=(low, high),
+        # float32 of an angle may be above it
+        lowest_sun=float(lowest_sun) + 1e-6,
     )
 
 

@@ -150,7 +150,9 @@ def refit(
     model, results = shape.first(published), {}
     if linear:
         ends = float(hazes.min()), float(hazes.max())
-        model = dataclasses.replace(model, lowest_turbidity=ends[0], fitted_turbidity=ends)
+        # float32 of an angle may be above it
+        lowest_sun = float(np.radians(suns.max())) + 1e-6
+        model = dataclasses.replace(model, lowest_turbidity=ends[0], fitted_turbidity=ends, lowest_sun=lowest_sun)
     for q, name in enumerate("Yxy"):
         solution = fit_joint(shape, q, shape.start(q, skies.target[q], sun, haze), skies.joint(q))
         model = shape.put(model, q, solution.value)

@@ -1,6 +1,10 @@
 """Where the sun stands, by the short formulas of Preetham, Shirley and Smits: for JAX, to be differentiated."""
 
+import math
+
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, Real
 
 from ..numerics import safe_sqrt
@@ -19,9 +23,11 @@ def solar_time(
     **Arguments:** `standard_time`, hours after midnight on the clock of the time zone, without daylight saving;
     `day_of_year` J, 1 to 366; `longitude_west` L of the place and `meridian_west` SM of the time zone (15 degrees an
     hour), radians, positive WEST; shapes that broadcast. **Returns:** hours; 12 is noon.
-    **Valid:** within about 1 minute.
+    **Valid:** within about 1 minute. Angles beyond a turn are degrees: a `ValueError`, where they are not traced.
     **Source:** Preetham 1999, A.6, which does not say which way longitudes count: only west-positive ones agree.
     """
+    _check_radians("longitude_west", longitude_west, 2.0 * math.pi)
+    _check_radians("meridian_west", meridian_west, 2.0 * math.pi)
     day = jnp.asarray(day_of_year)
     spring = 0.170 * jnp.sin(4.0 * jnp.pi * (day - 80) / 373.0)
     winter = 0.129 * jnp.sin(2.0 * jnp.pi * (day - 8) / 355.0)
@@ -45,13 +51,15 @@ def short_sun_position(
     **Arguments:** `solar_hours` t as `solar_time` gives them; `day_of_year` J; `latitude` l, radians, north
     positive; shapes that broadcast.
     **Returns:** zenith angle; azimuth clockwise from north, in [0, 2 pi); radians.
-    **Valid:** everywhere, finite gradients; a sun in the zenith or nadir has azimuth 180 degrees. Against
-    NREL's algorithm at 18 places in 2023 the zenith angle is within 0.8 degrees (half of them within 0.09), the sun
-    no more than 0.85 degrees aside: 1.5 degrees of azimuth where it is 30 degrees from the zenith or more.
+    **Valid:** latitudes to pi/2, else a `ValueError` where they are not traced; finite gradients; a sun in the zenith
+    or nadir has azimuth 180 degrees. Against NREL's algorithm at 18 places in 2023 the zenith angle is within 0.8
+    degrees (half of them within 0.09), the sun no more than 0.85 degrees aside: 1.5 degrees of azimuth where it is 30
+    degrees from the zenith or more.
     **Source:** Preetham 1999, A.6, which prints $\cos l \sin\delta$ without its minus and the arc tangent of a
     quotient: at Ithaca, 27 May, 8:00 EST, 54.8 degrees east of south, where the sun stands 87.3. The azimuth is
     turned here from west of south to the house's.
     """
+    _check_radians("latitude", latitude, 0.5 * math.pi)
     hour = jnp.pi / 12.0 * jnp.asarray(solar_hours)
     declination = 0.4093 * jnp.sin(2.0 * jnp.pi * (jnp.asarray(day_of_year) - 81) / 368.0)
     up = jnp.sin(latitude) * jnp.sin(declination) - jnp.cos(latitude) * jnp.cos(declination) * jnp.cos(hour)
@@ -61,3 +69,9 @@ def short_sun_position(
     overhead = aside == 0.0
     west_of_south = jnp.arctan2(jnp.where(overhead, 0.0, west), jnp.where(overhead, 1.0, south))
     return jnp.arctan2(safe_sqrt(aside), up), jnp.mod(west_of_south + jnp.pi, 2.0 * jnp.pi)
+
+
+def _check_radians(name: str, value, limit: float) -> None:
+    # float32 pi/2 is above pi/2
+    if not isinstance(value, Tracer) and not np.all(np.abs(np.asarray(value)) <= limit + 1e-6):
+        raise ValueError(f"`{name}` must be within +-{limit:.4g} rad, got {np.max(np.abs(np.asarray(value))):g}")

@@ -110,12 +110,18 @@ class AbstractAnalyticSky(eqx.Module):
         **Source:** Preetham 1999 eq. 4, A.2; IEC 61966-2-1:1999.
         """
         sun = jnp.asarray(sun)
+        if sun.shape != (3,) or view.shape[:1] != (3,):
+            raise ValueError(
+                f"`sun` and `view` must have east, north, up as their first axis, got {sun.shape} and {view.shape}"
+            )
+        _check_scalar(turbidity)
         sun_zenith, scale, coefficients = _rows(self, turbidity, sun)
         self._check(turbidity, sun_zenith)
         return pixels.linear_srgb(*pixels.tristimulus(scale, coefficients, *pixels.geometry(sun, view)))
 
     def _seen(self, turbidity, scene: Scene):
         """Luminance, 0 where there is none, and chromaticity in the scene's directions."""
+        _check_scalar(turbidity)
         self._check(turbidity, scene.sun_zenith)
         view = scene.view
         gamma = angle_between(view.zenith, scene.sun_zenith, view.azimuth - scene.sun_azimuth)
@@ -126,6 +132,11 @@ class AbstractAnalyticSky(eqx.Module):
         """`check_range` of what can be seen of the values while a program is traced."""
         if not isinstance(turbidity, Tracer):
             self.check_range(turbidity, 0.0 if isinstance(sun_zenith, Tracer) else sun_zenith)
+
+
+def _check_scalar(turbidity) -> None:
+    if jnp.ndim(turbidity) != 0:
+        raise ValueError(f"`turbidity` must be one number (jax.vmap takes many), got shape {jnp.shape(turbidity)}")
 
 
 @jax.jit

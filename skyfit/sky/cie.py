@@ -9,7 +9,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..light import equal_energy, xyz_from_xyY
-from ..scene import as_float, Scene
+from ..scene import above_horizon, as_float, Scene
 from .analytic import AbstractAnalyticSky
 from .perez import Perez
 
@@ -169,8 +169,9 @@ class Intermediate(eqx.Module):
         """Spectral radiance, given that of the clear sky.
 
         **Arguments:** `turbidity`; `scene`; `clear_radiance`, W m^-2 sr^-1 nm^-1, by whatever model.
-        **Returns:** W m^-2 sr^-1 nm^-1.
+        **Returns:** W m^-2 sr^-1 nm^-1. **Valid:** below the horizon the overcast sky is dark.
         """
         share = self.overcast_share(turbidity)
         overcast = overcast_luminance(scene.sun_zenith, scene.view.zenith)
+        overcast = jnp.where(above_horizon(scene.view.zenith), overcast, 0.0)
         return (1.0 - share) * clear_radiance + share * equal_energy(overcast, scene.wavelength_nm)

@@ -22,10 +22,10 @@ class Preetham(AbstractAnalyticSky):
     `distribution` `[Y x y, A B C D E, slope constant]`: Perez coefficients, linear in turbidity.
     `zenith_luminance` `[tangent offset angle, slope constant]`, each linear in turbidity, the first
     two in kcd m^-2. `zenith_chromaticity` `[x y, T^2 T 1, cube square linear constant]` in the
-    sun's zenith angle in radians. `lowest_turbidity` is where `check_range` raises, and
-    `fitted_turbidity` the range beyond which `valid` is False: they belong to the coefficients, so
-    a refit brings its own. Outside the range all is finite and worthless: with the published numbers Y has a pole
-    at turbidity 1.643 and most of the sky is negative below.
+    sun's zenith angle in radians. `lowest_turbidity` is where `check_range` raises, `fitted_turbidity` and `lowest_sun`
+    (zenith angle, radians) the range beyond which `valid` is False: they belong to the coefficients, so a refit brings
+    its own. Outside the range all is finite and worthless: with the published numbers Y has a pole at turbidity 1.643
+    and most of the sky is negative below.
 
     **Source:** Preetham 1999 A.2. The fit there is to simulations of turbidity 2 to 6.
     """
@@ -35,6 +35,7 @@ class Preetham(AbstractAnalyticSky):
     zenith_chromaticity: Float[Array, "2 3 4"]
     lowest_turbidity: float = eqx.field(static=True, default=1.7)
     fitted_turbidity: tuple[float, float] = eqx.field(static=True, default=(2.0, 10.0))
+    lowest_sun: float = eqx.field(static=True, default=0.5 * math.pi)
 
     @classmethod
     def published(cls, digits: Literal[4, 5] = 4) -> "Preetham":
@@ -97,15 +98,14 @@ class Preetham(AbstractAnalyticSky):
 
         **Arguments:** `turbidity`; `sun_zenith` radians; numbers or arrays.
         **Valid:** turbidity >= `lowest_turbidity` and the sun at or above the horizon. Beyond
-        `fitted_turbidity` the model extrapolates: no error here, but `valid` says False.
+        `fitted_turbidity` and `lowest_sun` the model extrapolates: no error here, but `valid` says False.
         """
         low = np.atleast_1d(np.asarray(turbidity, dtype=np.float64))
         bad = ~(np.isfinite(low) & (low >= self.lowest_turbidity))
         if bad.any():
             raise ValueError(
-                f"`turbidity` must be at least {self.lowest_turbidity:g}, got {low[bad][0]:g}: the "
-                "zenith's share of the luminance vanishes (published coefficients: at 1.643), so "
-                "that the sky is singular there and negative below"
+                f"`turbidity` must be at least {self.lowest_turbidity:g}, got {low[bad][0]:g}: these coefficients "
+                "have no answer below (the published sky is singular at 1.643)"
             )
         sun = np.atleast_1d(np.asarray(sun_zenith, dtype=np.float64))
         # float32 pi/2 is above pi/2
@@ -118,10 +118,10 @@ class Preetham(AbstractAnalyticSky):
 
         **Arguments:** `turbidity`; `sun_zenith` radians.
         **Returns:** True where turbidity is within `fitted_turbidity` (published: 2 to 10), the sun
-        is not below the horizon and the zenith luminance is positive. NaN gives False.
+        not below `lowest_sun` (published: the horizon) and the zenith luminance is positive. NaN gives False.
         """
         low, high = self.fitted_turbidity
         turbidity, sun = jnp.asarray(turbidity), jnp.asarray(sun_zenith)
         luminance, _, _ = self.zenith(turbidity, sun)
         fitted = (turbidity >= low) & (turbidity <= high)
-        return fitted & (sun >= 0.0) & (sun <= jnp.pi / 2) & (luminance > 0.0)
+        return fitted & (sun >= 0.0) & (sun <= self.lowest_sun) & (luminance > 0.0)

@@ -11,12 +11,16 @@ from jaxtyping import Array, ArrayLike, Float
 from ..atmosphere import angstrom_coefficient
 from ..light import SUN_SOLID_ANGLE
 from ..numerics import read_table
-from ..scene import as_float, relative_airmass, Scene
+from ..scene import as_float, LOWEST_VISIBLE, relative_airmass, Scene
 
 
 # nm, the range of the absorption coefficients; inside 380-780 they are the paper's
 _SHORTEST, _LONGEST = 300.0, 1100.0
 _M_PER_CM = 0.01
+# m; more of them is another unit: 1000 Dobson units, and three times the tropics' water
+_MOST_OZONE, _MOST_WATER = 0.01, 0.2
+# beta is 0 at 0.9952
+_LOWEST_TURBIDITY = 0.995
 
 
 class Transmittances(NamedTuple):
@@ -41,7 +45,8 @@ class Sunlight(eqx.Module):
     $e^{-0.008735\,\lambda^{-4.08} m}$, $e^{-\beta\lambda^{-\alpha} m}$, $e^{-k_o l m}$,
     $e^{-1.41 k_g m / (1 + 118.93 k_g m)^{0.45}}$, $e^{-0.2385 k_w w m / (1 + 20.07 k_w w m)^{0.45}}$.
 
-    **Valid:** 300 to 1100 nm, else `ValueError`; traced wavelengths beyond have the coefficients of the ends. From
+    **Valid:** turbidity from 1, ozone to 0.01 m, water to 0.2 m, else `ValueError` (traced ones: negative amounts count
+    as none). 300 to 1100 nm, else `ValueError`; traced wavelengths beyond have the coefficients of the ends. From
     380 to 780 nm the coefficients are the paper's, where a gap means no absorption; it has none outside, where
     those of SPECTRL2 continue them. Both are Leckner's, but the paper lacks oxygen's band at 687 nm and smooths that
     at 762 nm. The sun at or above the horizon; observer at sea level.
@@ -56,6 +61,17 @@ class Sunlight(eqx.Module):
     angstrom_exponent: Float[Array, ""] = eqx.field(converter=as_float, default=1.3)
     ozone: Float[Array, ""] = eqx.field(converter=as_float, default=0.0035)
     water_vapour: Float[Array, ""] = eqx.field(converter=as_float, default=0.02)
+
+    def __check_init__(self):
+        for name, low, high in (
+            ("turbidity", _LOWEST_TURBIDITY, np.inf),
+            ("ozone", 0.0, _MOST_OZONE),
+            ("water_vapour", 0.0, _MOST_WATER),
+        ):
+            value = getattr(self, name)
+            if not isinstance(value, Tracer) and not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
+                limits = f"at least {low:g}" if high == np.inf else f"between {low:g} and {high:g} m"
+                raise ValueError(f"`{name}` must be {limits}, got {np.asarray(value):g}")
 
     def factors(
         self, theta_sun: Float[ArrayLike, ""], wavelength_nm: Float[ArrayLike, " wavelength"]
@@ -106,7 +122,7 @@ class Sunlight(eqx.Module):
         if scene.height is not None:
             raise ValueError("`height` of the scene must be None for Sunlight: it knows the observer at sea level only")
         light = scene.solar_irradiance * self.transmittance(scene.sun_zenith, scene.wavelength_nm)
-        return jnp.where(jnp.cos(scene.sun_zenith) > 0.0, light, 0.0)
+        return jnp.where(jnp.cos(scene.sun_zenith) > LOWEST_VISIBLE, light, 0.0)
 
     def radiance(self, scene: Scene) -> Float[Array, " wavelength"]:
         """Of the sun's disc, its mean, W m^-2 sr^-1 nm^-1: `irradiance` over the disc's 6.794e-5 sr at 1 au.
