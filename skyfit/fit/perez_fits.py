@@ -139,9 +139,9 @@ def _fit(light, zenith_light, theta, gamma, theta_sun, weight, start, max_steps,
 def _usable(light, zenith_light, gamma, sun, known_place, weight) -> tuple[_Skies, Bool[Array, " sky"]]:
     """The skies with harmless numbers in place of what cannot be used, and which are usable."""
     at_zenith = jnp.isfinite(zenith_light) & (zenith_light > 0.0)
-    known = jnp.isfinite(light) & (light > 0.0) & jnp.isfinite(gamma) & known_place[None]
     zenith_light = jnp.where(at_zenith, zenith_light, 1.0)[:, None]
-    known = known & (light > zenith_light / _LARGEST_RATIO)
+    # a NaN is neither above nor below
+    known = (light > zenith_light / _LARGEST_RATIO) & (light < jnp.inf) & jnp.isfinite(gamma) & known_place[None]
     usable = at_zenith & jnp.isfinite(sun) & jnp.all(known | (weight == 0.0)[None], axis=1)
     known = known & usable[:, None]
     ratio = jnp.where(known, zenith_light / jnp.where(known, light, 1.0), 1.0)
