@@ -9,6 +9,7 @@ import pytest
 from skies import simulated_by
 
 import skyfit
+from skyfit.files import write_coefficients
 from skyfit.fit.joint_fit import _reduced, EXTENDED, LINEAR
 from skyfit.scene import angle_between
 from skyfit.sky import ExtendedPreetham, Perez
@@ -54,6 +55,23 @@ def test_skies_of_the_extended_form_are_met(monkeypatch):
     assert set(result.result.values()) == {"successful"}
     for skies in (result.fitted, result.held_out):
         assert skies.overall["refitted"].luminance < 5e-3 and skies.overall["refitted"].chromaticity < 1e-3
+
+
+def test_an_extended_fit_of_few_skies_answers_for_no_others(monkeypatch, tmp_path):
+    """Where it was not fitted x + y reaches 1.5 and more."""
+    monkeypatch.setattr(module, "_simulate", skies_of(ExtendedPreetham.shipped()))
+    result = skyfit.refit(
+        skyfit.SingleScattering(6, "flat"), form="extended", directions=40, held_out=3,
+        sun_zenith_deg=(20.0, 40.0, 60.0, 70.0), turbidity=(2.0, 3.0, 4.0),
+    )  # fmt: skip
+    write_coefficients(result, tmp_path / "narrow.json")
+    for model in (result.refitted, skyfit.read_coefficients(tmp_path / "narrow.json")):
+        cases = ((2.0, 20.0), (4.0, 70.0), (4.1, 60.0), (1.9, 60.0), (3.0, 19.0), (3.0, 71.0))
+        assert [bool(model.valid(t, np.radians(sun))) for t, sun in cases] == [True, True, False, False, False, False]
+        with pytest.raises(ValueError, match="`turbidity` must be between 2 and 4, got 8"):
+            model.check_range(8.0, 1.0)
+        with pytest.raises(ValueError, match="`sun_zenith` must be between 0.349066 and 1.222, got 1.5"):
+            model.check_range(3.0, 1.5)
 
 
 def test_the_extended_form_meets_simulated_skies():

@@ -13,6 +13,7 @@ as the error of the published formula out of its range, is null.
 """
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -59,8 +60,8 @@ def write_coefficients(refit: Refit, path, settings: Mapping[str, str | float | 
 def read_coefficients(path) -> Preetham | ExtendedPreetham:
     """The refitted model of a file that `write_coefficients` made.
 
-    **Arguments:** `path`. **Returns:** `ExtendedPreetham`, or `Preetham` with the file's range of turbidity and sun as
-    its valid one. **Errors:** `ValueError` naming the file and what is wrong with it.
+    **Arguments:** `path`. **Returns:** `ExtendedPreetham` or `Preetham`, whose valid range of turbidity and sun is the file's.
+    **Errors:** `ValueError` naming the file and what is wrong with it.
     """
     path = Path(path)
     try:
@@ -76,8 +77,8 @@ def read_coefficients(path) -> Preetham | ExtendedPreetham:
     try:
         arrays = {name: np.asarray(record["refitted"][name], float) for name in shapes}
         low, high = (float(turbidity) for turbidity in record["valid"]["turbidity"])
-        lowest_sun = np.radians(float(record["valid"]["sun_zenith_deg"][1]))
-    except (KeyError, IndexError, TypeError, ValueError) as error:
+        highest_sun, lowest_sun = (math.radians(angle) for angle in record["valid"]["sun_zenith_deg"])
+    except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path.name}: the coefficients are incomplete: {error}") from None
     for name, shape in shapes.items():
         found = arrays[name].shape
@@ -88,13 +89,14 @@ def read_coefficients(path) -> Preetham | ExtendedPreetham:
             wanted = str(shape).replace("None", "more")
             raise ValueError(f"{path.name}: `{name}` must be numbers of shape {wanted}, found {found}")
     if form == "extended":
-        return ExtendedPreetham(as_float(arrays["coefficients"]))
+        return ExtendedPreetham(
+            as_float(arrays["coefficients"]), fitted_turbidity=(low, high), fitted_sun=(highest_sun, lowest_sun)
+        )
     return Preetham(
         **{name: as_float(values) for name, values in arrays.items()},
         lowest_turbidity=low,
         fitted_turbidity=(low, high),
-        # float32 of an angle may be above it
-        lowest_sun=float(lowest_sun) + 1e-6,
+        lowest_sun=lowest_sun,
     )
 
 

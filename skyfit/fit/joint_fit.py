@@ -103,7 +103,8 @@ class Extended:
 
     def put(self, model: ExtendedPreetham, quantity: int, value) -> ExtendedPreetham:
         shape = model.coefficients.shape[1:]
-        return ExtendedPreetham(model.coefficients.at[quantity].set(value.reshape(shape)))
+        changed = model.coefficients.at[quantity].set(value.reshape(shape))
+        return eqx.tree_at(lambda m: m.coefficients, model, changed)
 
     def stiffness(self, value):
         # all but the constants

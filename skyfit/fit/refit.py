@@ -148,11 +148,12 @@ def refit(
     report(2, stages)
     published = Preetham.published()
     model, results = shape.first(published), {}
+    ends = float(hazes.min()), float(hazes.max())
+    highest_sun, lowest_sun = (float(np.radians(angle)) for angle in (suns.min(), suns.max()))
     if linear:
-        ends = float(hazes.min()), float(hazes.max())
-        # float32 of an angle may be above it
-        lowest_sun = float(np.radians(suns.max())) + 1e-6
         model = dataclasses.replace(model, lowest_turbidity=ends[0], fitted_turbidity=ends, lowest_sun=lowest_sun)
+    else:
+        model = dataclasses.replace(model, fitted_turbidity=ends, fitted_sun=(highest_sun, lowest_sun))
     for q, name in enumerate("Yxy"):
         solution = fit_joint(shape, q, shape.start(q, skies.target[q], sun, haze), skies.joint(q))
         model = shape.put(model, q, solution.value)

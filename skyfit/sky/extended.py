@@ -2,6 +2,7 @@
 
 import math
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
@@ -14,6 +15,7 @@ from .perez import Perez
 # T and degrees that the Chebyshev polynomials span
 TURBIDITY_RANGE = (1.0, 10.0)
 SUN_ZENITH_RANGE_DEG = (0.0, 92.0)
+_SUN_ZENITH_RANGE = (math.radians(SUN_ZENITH_RANGE_DEG[0]), math.radians(SUN_ZENITH_RANGE_DEG[1]))
 # the circumsolar and the backscatter term are never below -0.45 each, so that their sum leaves the sky positive
 _LOWEST_TERM = -0.45
 # width of the corner of the map to that bound
@@ -30,12 +32,15 @@ class ExtendedPreetham(AbstractAnalyticSky):
     $D = -e^{u_3}$, $E = s(u_4)$, zenith value $e^{u_5}$, with s a smooth map to numbers above -0.45. So Y, x and y are
     positive and finite by construction, and $e^{u_0}$ is the zenith's share of the horizon's light.
 
-    `coefficients` c of Y (cd m^-2), x, y. **Valid:** the range above; beyond it the value at its edge holds and `valid`
-    is False. The shipped x + y exceeds 1, a negative Z, in the last degree above the horizon of pure air under a sun
-    beyond 88 degrees. **Source:** `skyfit.refit(form="extended")`; the shipped ones by experiments/refit.py.
+    `coefficients` c of Y (cd m^-2), x, y; `fitted_turbidity` and `fitted_sun` (zenith angles, radians), the range of
+    the skies they were fitted to. **Valid:** that range; beyond the one above the value at its edge holds. The shipped
+    x + y exceeds 1, a negative Z, in the last degree above the horizon of pure air under a sun beyond 88 degrees.
+    **Source:** `skyfit.refit(form="extended")`; the shipped ones by experiments/refit.py.
     """
 
     coefficients: Float[Array, "3 6 turbidity sun"]
+    fitted_turbidity: tuple[float, float] = eqx.field(static=True, default=TURBIDITY_RANGE)
+    fitted_sun: tuple[float, float] = eqx.field(static=True, default=_SUN_ZENITH_RANGE)
 
     @classmethod
     def shipped(cls) -> "ExtendedPreetham":
@@ -70,8 +75,8 @@ class ExtendedPreetham(AbstractAnalyticSky):
     def check_range(self, turbidity, sun_zenith) -> None:
         """Raises `ValueError` outside the range of the class; for concrete values, outside jit."""
         for name, values, (low, high) in (
-            ("turbidity", np.asarray(turbidity, float), TURBIDITY_RANGE),
-            ("sun_zenith", np.asarray(sun_zenith, float), np.radians(SUN_ZENITH_RANGE_DEG)),
+            ("turbidity", np.asarray(turbidity, float), self.fitted_turbidity),
+            ("sun_zenith", np.asarray(sun_zenith, float), self.fitted_sun),
         ):
             # float32 pi/2 is above pi/2
             bad = ~((values >= low - 1e-6) & (values <= high + 1e-6))
@@ -81,9 +86,9 @@ class ExtendedPreetham(AbstractAnalyticSky):
     def valid(self, turbidity: Float[ArrayLike, ""], sun_zenith: Float[ArrayLike, ""]) -> Bool[Array, ""]:
         """Whether the range of the class holds; a flag for batches. NaN gives False."""
         turbidity, sun = jnp.asarray(turbidity), jnp.asarray(sun_zenith)
-        low, high = (math.radians(angle) for angle in SUN_ZENITH_RANGE_DEG)
-        fitted = (turbidity >= TURBIDITY_RANGE[0]) & (turbidity <= TURBIDITY_RANGE[1])
-        return fitted & (sun >= low) & (sun <= high + 1e-6)
+        (thin, thick), (high, low) = self.fitted_turbidity, self.fitted_sun
+        # float32 of an angle may be beyond it
+        return (turbidity >= thin) & (turbidity <= thick) & (sun >= high - 1e-6) & (sun <= low + 1e-6)
 
 
 def _chebyshev(share, count: int):

@@ -124,4 +124,5 @@ class Preetham(AbstractAnalyticSky):
         turbidity, sun = jnp.asarray(turbidity), jnp.asarray(sun_zenith)
         luminance, _, _ = self.zenith(turbidity, sun)
         fitted = (turbidity >= low) & (turbidity <= high)
-        return fitted & (sun >= 0.0) & (sun <= self.lowest_sun) & (luminance > 0.0)
+        # float32 of an angle may be beyond it
+        return fitted & (sun >= 0.0) & (sun <= self.lowest_sun + 1e-6) & (luminance > 0.0)
