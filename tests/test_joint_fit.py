@@ -59,7 +59,7 @@ def test_skies_of_the_extended_form_are_met(monkeypatch):
 
 def test_an_extended_fit_of_few_skies_answers_for_no_others(monkeypatch, tmp_path):
     """Where it was not fitted x + y reaches 1.5 and more."""
-    monkeypatch.setattr(module, "_simulate", skies_of(ExtendedPreetham.shipped()))
+    monkeypatch.setattr(module, "_simulate", simulated_by(ExtendedPreetham.shipped()))
     result = skyfit.refit(
         skyfit.SingleScattering(6, "flat"), form="extended", directions=40, held_out=3,
         sun_zenith_deg=(20.0, 40.0, 60.0, 70.0), turbidity=(2.0, 3.0, 4.0),
