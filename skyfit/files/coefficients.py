@@ -60,7 +60,7 @@ def write_coefficients(refit: Refit, path, settings: Mapping[str, str | float | 
 def read_coefficients(path) -> Preetham | ExtendedPreetham:
     """The refitted model of a file that `write_coefficients` made.
 
-    **Arguments:** `path`. **Returns:** `ExtendedPreetham` or `Preetham`, whose valid turbidities and suns are the file's.
+    **Arguments:** `path`. **Returns:** `ExtendedPreetham` or `Preetham`, valid where the file says.
     **Errors:** `ValueError` naming the file and what is wrong with it.
     """
     path = Path(path)
