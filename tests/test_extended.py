@@ -113,6 +113,19 @@ def test_gradients_are_finite_and_those_of_differences():
             assert np.all(np.isfinite(slopes(jnp.array(at))))
 
 
+def test_the_steepest_fit_is_finite_in_either_precision(double):
+    """A fit to very thin air had B = -700: A overflowed, and every pixel was NaN."""
+    shipped = ExtendedPreetham.shipped()
+    steep = ExtendedPreetham(shipped.coefficients.at[:, [1, 3], 0, 0].add(7.0))
+    assert float(steep.numbers(1.0, 0.5)[:, [1, 3]].max()) > 6.0
+    scene = skyfit.Scene.from_degrees(30.0, skyfit.hemisphere(50), np.array([450.0, 550.0]))
+    for values in (steep.xyz(1.0, scene), steep.rgb(1.0, skyfit.unit_vectors(0.5, 0.0), skyfit.fisheye(16))):
+        assert np.all(np.isfinite(values))
+    assert np.all(np.asarray(steep.xyz(1.0, scene))[:, 1] > 0.0)
+    slope = jax.jacfwd(lambda t, s: steep.rgb(t, skyfit.unit_vectors(s, 0.0), skyfit.fisheye(8)), (0, 1))(1.5, 0.5)
+    assert all(np.all(np.isfinite(part)) for part in slope)
+
+
 def test_beyond_its_range_the_edge_holds_and_is_flagged(double):
     sky = ExtendedPreetham.shipped()
     for outside, edge in (((0.4, 0.5), (1.0, 0.5)), ((30.0, 0.5), (10.0, 0.5)), ((3.0, 2.5), (3.0, np.radians(92.0)))):

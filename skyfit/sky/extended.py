@@ -9,7 +9,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..numerics import read_table
 from .analytic import AbstractAnalyticSky
-from .perez import Perez
+from .perez import LARGEST_EXPONENT, Perez
 
 
 # T and degrees that the Chebyshev polynomials span
@@ -18,6 +18,8 @@ SUN_ZENITH_RANGE_DEG = (0.0, 92.0)
 _SUN_ZENITH_RANGE = (math.radians(SUN_ZENITH_RANGE_DEG[0]), math.radians(SUN_ZENITH_RANGE_DEG[1]))
 # the circumsolar and the backscatter term are never below -0.45 each, so that their sum leaves the sky positive
 _LOWEST_TERM = -0.45
+# of B and D: the factor e^-B beside A would overflow in thin air, whose colour hardly changes toward the horizon
+_STEEPEST = math.log(LARGEST_EXPONENT)
 # width of the corner of the map to that bound
 _CORNER = 0.1
 
@@ -29,8 +31,9 @@ class ExtendedPreetham(AbstractAnalyticSky):
     each of six numbers of each quantity is a Chebyshev series in $\log T$ and the square of the sun's zenith angle,
     $u_k = \sum_{ij} c_{kij} T_i(2 \log_{10} T - 1) T_j(2 (\theta_s / 92^\circ)^2 - 1)$, and
     $1 + A e^{B / \cos\theta} = 1 + (e^{u_0} - 1) e^{B (1 / \cos\theta - 1)}$, $B = -e^{u_1}$, $C = s(u_2)$,
-    $D = -e^{u_3}$, $E = s(u_4)$, zenith value $e^{u_5}$, with s a smooth map to numbers above -0.45. So Y, x and y are
-    positive and finite by construction, and $e^{u_0}$ is the zenith's share of the horizon's light.
+    $D = -e^{u_3}$, $E = s(u_4)$, zenith value $e^{u_5}$, with s a smooth map to numbers above -0.45, and B and D at
+    least -20. So Y, x and y are positive and finite by construction, and $e^{u_0}$ is the zenith's share of the
+    horizon's light.
 
     `coefficients` c of Y (cd m^-2), x, y; `fitted_turbidity` and `fitted_sun` (zenith angles, radians), the range of
     the skies they were fitted to. **Valid:** that range; beyond the one above the value at its edge holds. The shipped
@@ -102,12 +105,12 @@ def _chebyshev(share, count: int):
 
 def _perez(numbers) -> Perez:
     """Perez' coefficients of six unbounded numbers."""
-    steepness = jnp.exp(numbers[1])
+    steepness = jnp.exp(jnp.minimum(numbers[1], _STEEPEST))
     return Perez(
         jnp.expm1(numbers[0]) * jnp.exp(steepness),
         -steepness,
         _above(numbers[2]),
-        -jnp.exp(numbers[3]),
+        -jnp.exp(jnp.minimum(numbers[3], _STEEPEST)),
         _above(numbers[4]),
     )
 
