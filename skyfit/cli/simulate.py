@@ -17,6 +17,7 @@ from ..atmosphere import (
 from ..files import read_coefficients, read_directions, write_sky
 from ..scene import Directions, hemisphere, Scene, Sky
 from ..sky import AbstractAnalyticSky, ExtendedPreetham, Preetham
+from ..sky.extended import SUN_ZENITH_RANGE_DEG
 from .options import (
     AngstromExponent,
     app,
@@ -130,7 +131,7 @@ def simulate(
     if coefficients is not None:
         _refuse_what_coefficients_hold(context)
     analytic = None if coefficients is None else _analytic_sky(coefficients)
-    in_range("--sun-zenith", sun_zenith, 0.0, 90.0 if analytic is None else 92.0)
+    in_range("--sun-zenith", sun_zenith, 0.0, 90.0 if analytic is None else SUN_ZENITH_RANGE_DEG[1])
     if out.suffix not in (".nc", ".csv") or not out.absolute().parent.is_dir():
         raise ValueError(f"`--out` must be a .nc or .csv file in a folder that is there, got {out}")
     phase = HenyeyGreenstein(in_range("--asymmetry", asymmetry, -0.98, 0.98))

@@ -83,13 +83,8 @@ class Extended:
 
     def start(self, quantity: int, target, sun, turbidity):
         """One shape for all skies, and the zenith's own value of each."""
-        empty = self.first(Preetham.published())
-        ones = eqx.tree_at(lambda m: m.coefficients, empty, jnp.ones_like(empty.coefficients))
-        # the sums of the series with a single coefficient of one: its polynomials
-        polynomial = jax.vmap(jax.jacfwd(lambda c, t, s: ExtendedPreetham(c).numbers(t, s)[0, 0]), (None, 0, 0))(
-            ones.coefficients, as_float(turbidity), as_float(sun)
-        )[:, 0, 0]
-        table = np.asarray(polynomial).reshape(len(turbidity), -1)
+        polynomials = jax.vmap(self.first(Preetham.published()).polynomials)
+        table = np.asarray(polynomials(as_float(turbidity), as_float(sun))).reshape(len(turbidity), -1)
         coefficients = np.zeros((6, table.shape[1]))
         coefficients[:5, 0] = _FIRST_NUMBERS[quantity]
         coefficients[5] = np.linalg.lstsq(table, np.log(np.asarray(target)[:, -1]), rcond=None)[0]
@@ -111,7 +106,7 @@ class Extended:
         return _STIFFNESS * value.reshape(6, -1)[:, 1:].ravel()
 
 
-Form = Linear | Extended
+CoefficientForm = Linear | Extended
 LINEAR, EXTENDED = Linear(), Extended()
 
 
@@ -125,7 +120,7 @@ class _Skies(NamedTuple):
 
 
 @eqx.filter_jit
-def fit_joint(form: Form, quantity: int, start: Float[Array, " parameter"], skies) -> Solution:
+def fit_joint(form: CoefficientForm, quantity: int, start: Float[Array, " parameter"], skies) -> Solution:
     r"""The coefficients of Y (0), x (1) or y (2) that minimise the relative error over all skies.
 
     At each step the residual of a sky is linear in its six numbers A-E and the zenith's value: the QR of its Jacobian

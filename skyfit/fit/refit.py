@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..atmosphere import Atmosphere, Tabulated
-from ..light import xyz, xyz_from_xyY
+from ..light import xyY_from_xyz, xyz, xyz_from_xyY
 from ..scene import angle_between, as_float, Directions, hemisphere, Scene
 from ..sky import AbstractAnalyticSky, ExtendedPreetham, Perez, Preetham
+from ..sky.extended import SUN_ZENITH_RANGE_DEG, TURBIDITY_RANGE
 from ..transport import AbstractSolver, OrdersOfScattering
 from .joint_fit import EXTENDED, fit_joint, LINEAR, UNIT
 from .perez_fits import CLEAR_SKY, fit_perez
@@ -184,16 +185,16 @@ def _grid(given, usual):
 
 
 def _check_grids(suns, hazes, linear: bool) -> None:
-    highest = 90.0 if linear else 92.0
+    highest = 90.0 if linear else SUN_ZENITH_RANGE_DEG[1]
     inside = np.all((suns >= 0.0) & (suns < highest if linear else suns <= highest))
     if np.unique(suns).size < _SMALLEST_SUNS or not inside:
         end = ")" if linear else "]"
         raise ValueError(
             f"`sun_zenith_deg` must hold at least four different angles in [0, {highest:g}{end}, got {suns.tolist()}"
         )
-    most = np.inf if linear else 10.0
+    most = np.inf if linear else TURBIDITY_RANGE[1]
     if np.unique(hazes).size < _SMALLEST_TURBIDITIES or not np.all((hazes >= 1.0) & (hazes <= most)):
-        above = "" if linear else " and <= 10"
+        above = "" if linear else f" and <= {most:g}"
         raise ValueError(f"`turbidity` must hold at least three different values >= 1{above}, got {hazes.tolist()}")
 
 
@@ -228,8 +229,9 @@ class _Simulated(NamedTuple):
 
     @classmethod
     def of(cls, skies, view: Directions, sun, turbidity, weight) -> "_Simulated":
-        sun, total = as_float(sun), jnp.sum(skies, axis=-1)
-        target = jnp.stack([skies[..., 1], skies[..., 0] / total, skies[..., 1] / total])
+        sun = as_float(sun)
+        x, y, luminance = jnp.moveaxis(xyY_from_xyz(skies), -1, 0)
+        target = jnp.stack([luminance, x, y])
         gamma = angle_between(view.zenith[None], sun[:, None], view.azimuth[None])
         return cls(np.asarray(skies), target, view.zenith, gamma, sun, as_float(turbidity), weight)
 

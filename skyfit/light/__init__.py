@@ -2,11 +2,13 @@ from .colour import (
     equal_energy as equal_energy,
     LUMINOUS_EFFICACY as LUMINOUS_EFFICACY,
     observer_weights as observer_weights,
+    SMALLEST_Y as SMALLEST_Y,
     srgb as srgb,
     srgb_from_linear as srgb_from_linear,
     SRGB_FROM_XYZ as SRGB_FROM_XYZ,
     srgb_from_xyz as srgb_from_xyz,
     xyY as xyY,
+    xyY_from_xyz as xyY_from_xyz,
     xyz as xyz,
     xyz_from_xyY as xyz_from_xyY,
 )

@@ -20,6 +20,7 @@ SRGB_FROM_XYZ = np.array(
         [0.0557, -0.2040, 1.0570],
     ]
 )
+SMALLEST_Y = 1e-6  # of a chromaticity that is divided by
 _SRGB_LINEAR_END = 0.0031308  # the same standard: below, the transfer function is a line
 
 
@@ -49,9 +50,18 @@ def xyY(
     x = X / (X + Y + Z), y = Y / (X + Y + Z).
 
     **Arguments, valid, source:** as `xyz`.
-    **Returns:** `[..., 3]`: x, y dimensionless, Y in cd m^-2. Black has x = y = 1/3.
+    **Returns:** as `xyY_from_xyz`.
     """
-    tristimulus = xyz(radiance, wavelength_nm)
+    return xyY_from_xyz(xyz(radiance, wavelength_nm))
+
+
+def xyY_from_xyz(tristimulus: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+    """Chromaticity x, y and luminance Y of tristimulus values.
+
+    **Arguments:** `tristimulus` X, Y, Z, cd m^-2, `[..., 3]`.
+    **Returns:** `[..., 3]`: x, y dimensionless, Y in cd m^-2. Black has x = y = 1/3.
+    **Valid:** everywhere. **Source:** CIE 015:2018.
+    """
     total = jnp.sum(tristimulus, axis=-1)
     lit = total != 0.0
     safe = jnp.where(lit, total, 1.0)
@@ -71,7 +81,7 @@ def xyz_from_xyY(chromaticity_luminance: Float[Array, "... 3"]) -> Float[Array, 
     **Source:** CIE 015:2018.
     """
     x = chromaticity_luminance[..., 0]
-    y = jnp.maximum(chromaticity_luminance[..., 1], 1e-6)
+    y = jnp.maximum(chromaticity_luminance[..., 1], SMALLEST_Y)
     luminance = chromaticity_luminance[..., 2]
     scale = luminance / y
     return jnp.stack([x * scale, luminance, (1.0 - x - y) * scale], axis=-1)

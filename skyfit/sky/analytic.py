@@ -5,6 +5,7 @@ from abc import abstractmethod
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float
 
@@ -137,6 +138,15 @@ class AbstractAnalyticSky(eqx.Module):
 def _check_scalar(turbidity) -> None:
     if jnp.ndim(turbidity) != 0:
         raise ValueError(f"`turbidity` must be one number (jax.vmap takes many), got shape {jnp.shape(turbidity)}")
+
+
+def check_sun_is_up(sun_zenith) -> None:
+    """A `ValueError` unless all zenith angles of the sun (radians, concrete) are between 0 and pi/2."""
+    sun = np.atleast_1d(np.asarray(sun_zenith, dtype=np.float64))
+    # float32 pi/2 is above pi/2
+    bad = ~((sun >= 0.0) & (sun <= 0.5 * np.pi + 1e-6))
+    if bad.any():
+        raise ValueError(f"`sun_zenith` must be between 0 and pi/2, sun above the horizon, got {sun[bad][0]:g} rad")
 
 
 @jax.jit

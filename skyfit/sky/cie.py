@@ -8,9 +8,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from ..light import equal_energy, xyz_from_xyY
+from ..light import equal_energy, xyY_from_xyz, xyz_from_xyY
 from ..scene import above_horizon, as_float, Scene
-from .analytic import AbstractAnalyticSky
+from .analytic import AbstractAnalyticSky, check_sun_is_up
 from .perez import Perez
 
 
@@ -62,10 +62,7 @@ class CIEClear(AbstractAnalyticSky):
         **Arguments:** `turbidity`; `sun_zenith` radians; numbers or arrays.
         """
         turbidity, sun = np.broadcast_arrays(np.atleast_1d(turbidity).astype(float), np.asarray(sun_zenith, float))
-        # float32 pi/2 is above pi/2
-        bad = ~((sun >= 0.0) & (sun <= math.pi / 2 + 1e-6))
-        if bad.any():
-            raise ValueError(f"`sun_zenith` must be between 0 and pi/2, sun above the horizon, got {sun[bad][0]:g} rad")
+        check_sun_is_up(sun)
         luminance = np.asarray(_clear_zenith(turbidity, sun))
         bad = ~(np.isfinite(turbidity) & (luminance > 0.0))
         if bad.any():
@@ -155,10 +152,8 @@ class Intermediate(eqx.Module):
         clear = xyz_from_xyY(jnp.concatenate([clear[..., 1:], clear[..., :1]], axis=-1))
         overcast = overcast_luminance(theta_sun, theta)[..., None]
         mixed = (1.0 - share) * clear + share * overcast
-        total = jnp.sum(mixed, axis=-1)
-        lit = total != 0.0
-        x, y = (jnp.where(lit, mixed[..., i] / jnp.where(lit, total, 1.0), 1.0 / 3.0) for i in (0, 1))
-        return mixed[..., 1], x, y
+        x, y, luminance = jnp.moveaxis(xyY_from_xyz(mixed), -1, 0)
+        return luminance, x, y
 
     def radiance(
         self,

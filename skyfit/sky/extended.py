@@ -55,13 +55,19 @@ class ExtendedPreetham(AbstractAnalyticSky):
 
     def numbers(self, turbidity: Float[ArrayLike, ""], theta_sun: Float[ArrayLike, ""]) -> Float[Array, "3 6"]:
         """The six unbounded numbers u of Y, x, y; arguments as `perez`."""
+        return jnp.einsum("qkij,ij->qk", self.coefficients, self.polynomials(turbidity, theta_sun))
+
+    def polynomials(
+        self, turbidity: Float[ArrayLike, ""], theta_sun: Float[ArrayLike, ""]
+    ) -> Float[Array, "turbidity sun"]:
+        """The products of Chebyshev polynomials that the coefficients stand before; arguments as `perez`."""
         low, high = (math.log(t) for t in TURBIDITY_RANGE)
         # the inputs are clipped, so that beyond the range the edge's value holds
         haze = (jnp.log(jnp.maximum(turbidity, TURBIDITY_RANGE[0])) - low) / (high - low)
         sun = jnp.square(jnp.asarray(theta_sun) / math.radians(SUN_ZENITH_RANGE_DEG[1]))
         rows = _chebyshev(haze, self.coefficients.shape[2])
         columns = _chebyshev(sun, self.coefficients.shape[3])
-        return jnp.einsum("qkij,i,j->qk", self.coefficients, rows, columns)
+        return rows[:, None] * columns[None]
 
     def perez(self, turbidity: Float[ArrayLike, ""], theta_sun: Float[ArrayLike, ""]) -> tuple[Perez, Perez, Perez]:
         """The distributions of luminance Y and of chromaticity x and y; arguments, range and source as the class."""

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..light import SRGB_FROM_XYZ
+from ..light import SMALLEST_Y, SRGB_FROM_XYZ
 from ..numerics import safe_sqrt
 from ..scene import LOWEST_VISIBLE
 from .perez import LARGEST_EXPONENT, LOWEST_COSINE
@@ -27,7 +27,6 @@ _ARCSINE = _polynomial(lambda m: np.arcsin(np.sqrt(m)) / np.sqrt(m), 7, 0.5)
 _SQUARED_SINE = _polynomial(lambda q: np.square(np.sin(np.sqrt(q))) / q, 5, 0.25 * np.pi**2)
 
 _BELOW = -1.0
-_SMALLEST_Y = 1e-6  # as in `xyz_from_xyY`
 
 
 def _horner(coefficients: tuple[float, ...], x: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -80,7 +79,7 @@ def tristimulus(
 
     luminance, x, y = (distribution(scale, row) for scale, row in zip(zenith, coefficients, strict=True))
     luminance = jnp.where(slant > 0.0, jnp.maximum(luminance, 0.0), 0.0)
-    total = luminance / jnp.maximum(y, _SMALLEST_Y)
+    total = luminance / jnp.maximum(y, SMALLEST_Y)
     return x * total, luminance, total
 
 

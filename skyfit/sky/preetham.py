@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..numerics.tables import read_table
-from .analytic import AbstractAnalyticSky
+from .analytic import AbstractAnalyticSky, check_sun_is_up
 from .perez import Perez
 
 
@@ -107,11 +107,7 @@ class Preetham(AbstractAnalyticSky):
                 f"`turbidity` must be at least {self.lowest_turbidity:g}, got {low[bad][0]:g}: these coefficients "
                 "have no answer below (the published sky is singular at 1.643)"
             )
-        sun = np.atleast_1d(np.asarray(sun_zenith, dtype=np.float64))
-        # float32 pi/2 is above pi/2
-        bad = ~((sun >= 0.0) & (sun <= math.pi / 2 + 1e-6))
-        if bad.any():
-            raise ValueError(f"`sun_zenith` must be between 0 and pi/2, sun above the horizon, got {sun[bad][0]:g} rad")
+        check_sun_is_up(sun_zenith)
 
     def valid(self, turbidity: Float[ArrayLike, ""], sun_zenith: Float[ArrayLike, ""]) -> Bool[Array, ""]:
         """Whether the model is within its range; a flag for batches, to be mapped with `vmap`.
