@@ -1,4 +1,4 @@
-from .aerosol import Aerosol as Aerosol, REFERENCE_WAVELENGTH as REFERENCE_WAVELENGTH
+from .aerosol import Aerosol as Aerosol
 from .atmosphere import (
     Atmosphere as Atmosphere,
     Ground as Ground,
@@ -12,6 +12,7 @@ from .phase import (
     CornetteShanks as CornetteShanks,
     HenyeyGreenstein as HenyeyGreenstein,
     RayleighPhase as RayleighPhase,
+    REFERENCE_WAVELENGTH as REFERENCE_WAVELENGTH,
     Tabulated as Tabulated,
     TwoTermHenyeyGreenstein as TwoTermHenyeyGreenstein,
 )

@@ -8,12 +8,8 @@ from jaxtyping import Array, Float
 
 from ..scene import as_float
 from .constituent import AbstractConstituent
-from .phase import AbstractPhase, HenyeyGreenstein
+from .phase import AbstractPhase, HenyeyGreenstein, REFERENCE_WAVELENGTH
 from .profile import AbstractProfile, Exponential, HAZE_SCALE_HEIGHT
-
-
-# nm, where the aerosol optical depth and the turbidity are stated (Preetham 1999, sec. 2.1)
-REFERENCE_WAVELENGTH = 550.0
 
 
 class Aerosol(AbstractConstituent):

@@ -5,9 +5,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..scene import as_float
-from .aerosol import Aerosol, REFERENCE_WAVELENGTH
+from .aerosol import Aerosol
 from .constituent import AbstractConstituent
 from .ozone import Ozone
+from .phase import REFERENCE_WAVELENGTH
 from .rayleigh import Rayleigh
 from .turbidity import Relation, turbidity_to_optical_depth
 

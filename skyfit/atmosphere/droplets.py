@@ -9,9 +9,8 @@ from jaxtyping import Array, Float
 
 from ..numerics import hat_weights, read_table
 from ..scene import as_float
-from .aerosol import REFERENCE_WAVELENGTH
 from .constituent import AbstractConstituent
-from .phase import AbstractPhase, Tabulated
+from .phase import AbstractPhase, REFERENCE_WAVELENGTH, Tabulated
 from .profile import Layered
 
 

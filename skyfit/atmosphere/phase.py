@@ -17,6 +17,10 @@ from ..numerics import associated_legendre, gauss_legendre, hat_weights, read_ta
 from ..scene import as_float
 
 
+# nm, where the aerosol optical depth and the turbidity are stated (Preetham 1999, sec. 2.1), and all slopes begin
+REFERENCE_WAVELENGTH = 550.0
+
+
 class AbstractPhase(eqx.Module):
     """A phase function; the last axis of length 1 where it does not depend on wavelength."""
 
@@ -84,25 +88,31 @@ class HenyeyGreenstein(AbstractPhase):
 
 
 class TwoTermHenyeyGreenstein(AbstractPhase):
-    """A share `forward_fraction` of one Henyey-Greenstein lobe and the rest of a second one.
+    r"""A share of one Henyey-Greenstein lobe and the rest of a second one, $f p_{HG}(g_1) + (1 - f) p_{HG}(g_2)$.
 
-    `asymmetry` and `asymmetry_second` in (-1, 1), `forward_fraction` in [0, 1].
-    Source: Irvine 1965, Astrophys. J. 142, 1563; Kattawar 1975.
+    `asymmetry` and `asymmetry_second` in (-1, 1); `forward_fraction` f at 550 nm in [0, 1] and its slope per unit of
+    ln(wavelength / 550 nm): coarse particles scatter forward and hold more of the red than of the blue.
+    Source: Irvine 1965, Astrophys. J. 142, 1563; Kattawar 1975. The slope is our own.
     """
 
     asymmetry: Float[Array, ""] = eqx.field(converter=as_float)
     asymmetry_second: Float[Array, ""] = eqx.field(converter=as_float)
     forward_fraction: Float[Array, ""] = eqx.field(converter=as_float)
+    forward_fraction_slope: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
     last_degree: ClassVar[int | None] = None
 
+    def _fraction(self, wavelength_nm):
+        ratio = jnp.log(wavelength_nm / REFERENCE_WAVELENGTH)
+        return jnp.clip(self.forward_fraction + self.forward_fraction_slope * ratio, 0.0, 1.0)[None]
+
     def value(self, haversine, wavelength_nm):
-        first = _henyey_greenstein(haversine, self.asymmetry)
-        second = _henyey_greenstein(haversine, self.asymmetry_second)
-        return (self.forward_fraction * first + (1.0 - self.forward_fraction) * second)[:, None]
+        first = _henyey_greenstein(haversine, self.asymmetry)[:, None]
+        second = _henyey_greenstein(haversine, self.asymmetry_second)[:, None]
+        return second + self._fraction(wavelength_nm) * (first - second)
 
     def moments(self, count, wavelength_nm):
-        first, second = _powers(self.asymmetry, count), _powers(self.asymmetry_second, count)
-        return (self.forward_fraction * first + (1.0 - self.forward_fraction) * second)[:, None]
+        first, second = (_powers(g, count)[:, None] for g in (self.asymmetry, self.asymmetry_second))
+        return second + self._fraction(wavelength_nm) * (first - second)
 
 
 class CornetteShanks(AbstractPhase):

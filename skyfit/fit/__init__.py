@@ -3,8 +3,9 @@ from .inversion import (
     invert as invert,
     predict as predict,
     simulate as simulate,
-    station_pressure as station_pressure,
+    SLOW as SLOW,
 )
+from .measurement import Measurement as Measurement, Response as Response
 from .parameters import (
     check_free as check_free,
     PARAMETERS as PARAMETERS,
@@ -14,6 +15,7 @@ from .parameters import (
     with_values as with_values,
 )
 from .perez_fits import fit_perez as fit_perez, PerezFits as PerezFits
+from .problem import station_pressure as station_pressure
 from .refit import (
     Comparison as Comparison,
     Errors as Errors,

@@ -1,122 +1,293 @@
 """From a measured sky to the parameters of its atmosphere."""
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
-from ..atmosphere import pressure_at_altitude, SEA_LEVEL_PRESSURE
-from ..light import earth_sun_factor, extraterrestrial_irradiance
-from ..scene import as_float, Directions, Scene, Sky
+from ..scene import as_float, Scene, Sky
 from ..transport import AbstractSolver, OrdersOfScattering
-from .line_shape import estimate_fwhm
+from .chain import Point
+from .estimate import Estimate, estimate, Priors, Setup
+from .guess import first_guess
+from .measurement import Measurement, Response
 from .parameters import check_free, PARAMETERS, partition, SkyModel, start_model, values_of, with_values
-from .result import Fit, Fitted
-from .solve import covariance, least_squares, LOGISTIC_LIMIT, result_name
+from .problem import Sampling, SPECTRUM_NM, station_pressure
+from .result import Fit, Fitted, in_words
+from .solve import result_name
 
 
 # what a sky scan determines, and the pointing that it needs
 DEFAULT_FREE = (
     "aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo", "asymmetry",
-    "asymmetry_second", "forward_fraction", "ground_albedo", "pointing_zenith", "pointing_azimuth",
+    "asymmetry_second", "forward_fraction", "forward_fraction_slope", "ground_albedo", "pointing_zenith",
+    "pointing_azimuth",
 )  # fmt: skip
-# nm; absorption by oxygen and water that the model leaves out (Bird & Riordan 1986, table 1)
-GAS_BANDS_NM = ((684.0, 700.0), (714.0, 742.0), (756.0, 774.0), (785.0, 850.0), (890.0, 1000.0))
-# the noise that is taken where a file gives none: relative, and a share of the median radiance
-_RELATIVE_NOISE, _FLOOR_NOISE = 0.02, 0.03
-_MOST_WAVELENGTHS = 40
-_SPECTRUM_NM = (300.0, 1100.0)
-# a parameter counts as determined if its sigma is below this share of its allowed range
-_DETERMINED_SHARE = 0.25
+# what stays the same over a day: the kind of particle, the ground, the air; the amount of haze and the pointing do not
+SLOW = (
+    "single_scattering_albedo", "single_scattering_albedo_slope", "asymmetry", "asymmetry_second", "forward_fraction",
+    "forward_fraction_slope", "aerosol_scale_height", "ozone", "ground_albedo", "ground_albedo_slope", "pressure",
+)  # fmt: skip
+# spread of the logistic numbers of random starts: most of each range, not its ends
+_START_SPREAD = 1.5
 
 
 def invert(
     sky: Sky,
-    free=DEFAULT_FREE,
+    free: Sequence[str] = DEFAULT_FREE,
     solver: AbstractSolver | None = None,
     start: SkyModel | None = None,
     fwhm_nm: float | None = None,
     max_steps: int = 100,
     progress: Callable[[int, int], None] | None = None,
+    *,
+    shared: Sequence[str] = (),
+    measurement: Measurement | None = None,
+    response: Response | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    smooth: Mapping[str, float] | None = None,
+    draft: AbstractSolver | None = None,
+    guess: bool = True,
+    starts: int = 1,
 ) -> Fit:
-    """The parameters of the atmosphere over a measured sky, with uncertainties; each time by itself.
+    """The parameters of the atmosphere over a measured sky, with uncertainties.
 
-    **Arguments:** `sky` (`skyfit.read`); `free`, names among `PARAMETERS`; `solver`, default
-    `OrdersOfScattering.normal()`; `start`, the first guess and the fixed values; `fwhm_nm`, the line shape
-    (default: the file's, or estimated from the solar lines); `max_steps` of Levenberg-Marquardt;
-    `progress(done, of)` is called after each time.
-    **Returns:** a `Fit`. Residuals are divided by the file's sigma, else by 2 % of each sample and 3 % of the
-    median; the covariance is scaled by the reduced chi-square where that exceeds 1.
+    **Arguments**
+
+    - `sky` (`skyfit.read`); `free`, names among `PARAMETERS`; `solver`, default `OrdersOfScattering.normal()`
+    - `start`: the values that are not fitted, and those of the free ones where the search begins; with `guess` the haze's
+      optical depth and exponent begin where single scattering explains the sky best; `starts` - 1 random ones besides
+    - `fwhm_nm`: line shape (default: the file's, or estimated from the solar lines); `response`: channels of a camera
+    - `shared`: free names that all times have in common (`SLOW` names those that do not change within a day); none:
+      each time is fitted by itself
+    - `measurement`: noise, calibration, field of view, outliers (`Measurement`)
+    - `priors`: name -> (value, sigma) in the parameter's unit; of a positive parameter sigma / value is that of its
+      logarithm. `smooth`: name -> sigma of its change within an hour, on the same scale, for names that are not shared
+    - `draft`: solver of the first steps (default: the draft of the default solver; else `solver` itself)
+    - `max_steps` of Levenberg-Marquardt each; `progress(done, of)` is called after each time that is fitted by itself
+
+    **Returns:** a `Fit`. Sigma is that of noise (widened where the residuals exceed it), priors included, and of the
+    model's stated error.
     **Valid:** sun above the horizon; samples in bands of oxygen and water vapour are left out and counted.
     **Errors:** `ValueError` for unknown or contradicting names, or a sky with too few usable samples.
     """
-    free = tuple(free)
-    solver = OrdersOfScattering.normal() if solver is None else solver
-    notes = list(sky.notes)
-    pressure, assumed = station_pressure(sky)
-    if start is None:
-        start = start_model(free, pressure)
-    if assumed:
-        notes.append(assumed)
-    check_free(free, start)
-    if fwhm_nm is None:
-        fwhm_nm = _line_shape(sky, notes)
-    used = _usable(sky, notes)
-    chosen = _chosen_wavelengths(used)
-    if chosen.size == 0:
-        raise ValueError(f"`sky` has no usable sample at {_SPECTRUM_NM[0]:g}-{_SPECTRUM_NM[1]:g} nm")
-    model_at = _Forward(sky, solver, fwhm_nm)
-    sigma = _sigma(sky, used)
-    first = as_float([PARAMETERS[n].unbound(float(PARAMETERS[n].from_leaf(PARAMETERS[n].leaf(start)))) for n in free])
-    _, fixed = partition(start, free)
-    counts = [int(used[t][:, chosen].sum()) for t in range(len(sky.time))]
-    for t, count in enumerate(counts):
-        if count < len(free):
-            raise ValueError(
-                f"`sky` has {count} usable samples at time {t}, fewer than the {len(free)} free parameters"
-            )
-        if not sky.sun_zenith[t] < 0.5 * np.pi:
-            raise ValueError(f"`sky` has the sun at or below the horizon at time {t}: it cannot be inverted")
-    columns: dict[str, list] = {name: [] for name in _COLUMNS}
-    for t in range(len(sky.time)):
-        count = counts[t]
-        measured = np.where(used[t], sky.radiance[t], 0.0)[:, chosen]
-        weight = np.where(used[t], 1.0 / sigma[t], 0.0)[:, chosen]
-        scene = model_at.scene(t, chosen)
-        solved = _solve(solver, free, fixed, first, scene, as_float(measured), as_float(weight), max_steps)
-        row = _describe(free, solved, count)
-        row["model"] = np.asarray(model_at.radiance(t, with_values(fixed, free, as_float(row["values"]))))
-        error = (row["model"] - sky.radiance[t])[used[t]]
-        row["rmse"] = float(np.sqrt(np.mean(error**2)))
-        for name in _COLUMNS:
-            columns[name].append(row[name])
+    plan = Plan(sky, free, solver, start, fwhm_nm, max_steps, shared, measurement, response, priors, smooth, draft)
+    times = len(sky.time)
+    groups = [np.arange(times)] if plan.setup.shared or plan.linked else [np.array([t]) for t in range(times)]
+    parts = []
+    for number, group in enumerate(groups):
+        parts.append(plan.solve(group, plan.first_points(group, guess, starts)))
         if progress is not None:
-            progress(t + 1, len(sky.time))
-    lists = ("result", "undetermined")
-    arrays: dict[str, Any] = {name: np.array(rows) for name, rows in columns.items() if name not in lists}
-    words: dict[str, Any] = {name: tuple(columns[name]) for name in lists}
-    everything = values_of(start, PARAMETERS)
-    # one quantity under two names: never both
-    hidden = {"aerosol_optical_depth"} if "turbidity" in free else {"turbidity"}
-    kept = {n: v for n, v in everything.items() if n not in free and n not in hidden}
-    return Fit(
-        sky=sky, solver=solver, free=free, used=used, start=start, fwhm_nm=float(fwhm_nm), notes=tuple(notes),
-        fixed=kept, **arrays, **words,
-    )  # fmt: skip
+            progress(number + 1, len(groups))
+    return plan.fit(groups, parts)
+
+
+class Plan:
+    """All that a fit of a sky is asked for, checked, and the arrays that it works on."""
+
+    def __init__(
+        self, sky: Sky, free, solver=None, start=None, fwhm_nm=None, max_steps=100, shared=(), measurement=None,
+        response=None, priors=None, smooth=None, draft=None,
+    ):  # fmt: skip
+        self.sky, self.free, shared = sky, tuple(free), tuple(shared)
+        self.measurement = Measurement() if measurement is None else measurement
+        if solver is None:
+            solver, draft = OrdersOfScattering.normal(), OrdersOfScattering.draft() if draft is None else draft
+        self.solver, self.draft = solver, solver if draft is None else draft
+        pressure, assumed = station_pressure(sky)
+        self.start = start_model(self.free, pressure) if start is None else start
+        check_free(self.free, self.start)
+        self.priors = _checked_priors(dict(priors or {}), self.free)
+        self.smooth = dict(smooth or {})
+        _check_shared(shared, self.smooth, self.free)
+        self.sampling = Sampling(sky, fwhm_nm, response, self.measurement.field_of_view)
+        if assumed:
+            self.sampling.notes.append(assumed)
+        self.chosen = self.sampling.chosen()
+        if self.chosen.size == 0:
+            raise ValueError(f"`sky` has no usable sample at {SPECTRUM_NM[0]:g}-{SPECTRUM_NM[1]:g} nm")
+        own = tuple(n for n in self.free if n not in shared)
+        shared = tuple(n for n in self.free if n in shared)
+        calibration = self.measurement.calibration_prior(sky)
+        self.setup = Setup(
+            own, shared, self.measurement.loss, self.measurement.threshold, self.measurement.model_error,
+            calibration > 0.0, max_steps,
+        )  # fmt: skip
+        # a single time has no neighbour, and nothing to share
+        self.linked = bool(self.smooth) and len(sky.time) > 1
+        self._check_samples()
+        self.problem, self.places = self.sampling.problem(self.chosen, self.measurement)
+        _, self.fixed = partition(self.start, self.free)
+        self.prior_rows = self._prior_rows(calibration)
+
+    def _check_samples(self) -> None:
+        sky, used = self.sky, self.sampling.used[:, :, self.chosen]
+        for t in range(len(sky.time)):
+            count = int(used[t].sum())
+            if count < len(self.free):
+                raise ValueError(
+                    f"`sky` has {count} usable samples at time {t}, fewer than the {len(self.free)} free parameters"
+                )
+            if not sky.sun_zenith[t] < 0.5 * np.pi:
+                raise ValueError(f"`sky` has the sun at or below the horizon at time {t}: it cannot be inverted")
+
+    def _prior_rows(self, calibration: float) -> Priors:
+        centre, weight = [], []
+        for name in self.setup.names:
+            value, sigma = self.priors.get(name, (None, np.inf))
+            if value is None:
+                centre.append(0.0)
+                weight.append(0.0)
+                continue
+            parameter = PARAMETERS[name]
+            centre.append(parameter.to_scale(value))
+            weight.append((value if parameter.log else 1.0) / sigma)
+        steps = np.zeros((len(self.sky.time) - 1, len(self.setup.own)))
+        if self.linked:
+            hours = np.diff(self.sky.time) / np.timedelta64(1, "h")
+            if not np.all(hours > 0.0):
+                raise ValueError("`smooth` needs the times of the sky, increasing")
+            for name, sigma in self.smooth.items():
+                steps[:, self.setup.own.index(name)] = 1.0 / (sigma * np.sqrt(hours))
+        scale = 1.0 / calibration if calibration > 0.0 else 0.0
+        return Priors(as_float(centre), as_float(weight), as_float(scale), as_float(steps))
+
+    def first_points(self, times: np.ndarray, guess: bool = True, starts: int = 1, seed: int = 0) -> Point:
+        """Where the search begins, `[start, ...]`: the start or the guess from the data, then random ones."""
+        names, own = self.setup.names, len(self.setup.own)
+        problem = self.problem.at(times)
+        if guess:
+            values = first_guess(self.solver.geometry, self.start, names, problem)
+        else:
+            first = [float(PARAMETERS[n].from_leaf(PARAMETERS[n].leaf(self.start))) for n in names]
+            values = np.tile(first, (len(times), 1))
+        free = np.array([[PARAMETERS[n].unbound(v) for n, v in zip(names, row, strict=True)] for row in values])
+        random = np.random.default_rng(seed)
+        points = np.stack([free, *(_START_SPREAD * random.standard_normal(free.shape) for _ in range(starts - 1))])
+        # shared numbers begin in the middle of what the times say
+        return Point(as_float(points[:, :, :own]), as_float(np.median(points[:, :, own:], axis=1)))
+
+    def solve(self, times: np.ndarray, points: Point) -> Estimate:
+        """The estimate of some times together."""
+        priors = self.prior_rows
+        if len(times) < len(self.sky.time):
+            priors = priors._replace(step=priors.step[:0])
+        solvers = self.draft, self.solver
+        return _estimate(self.setup, solvers, self.fixed, self.problem.at(times), priors, points)
+
+    def fit(self, groups: Sequence[np.ndarray], parts: Sequence[Estimate]) -> Fit:
+        """The estimates of all groups of times as one `Fit`."""
+        sky, names = self.sky, self.setup.names
+        # back to the order in which the user named them
+        order = np.array([names.index(n) for n in self.free])
+        rows: list[dict] = [{} for _ in sky.time]
+        for group, part in zip(groups, parts, strict=True):
+            for index, t in enumerate(group):
+                rows[t] = self._row(int(t), index, part, order)
+        stack = {key: np.stack([row[key] for row in rows]) for key in rows[0] if key not in _WORDS}
+        words = {key: tuple(row[key] for row in rows) for key in _WORDS}
+        hidden = "aerosol_optical_depth" if "turbidity" in self.free else "turbidity"
+        everything = values_of(self.start, PARAMETERS)
+        kept = {n: v for n, v in everything.items() if n not in self.free and n != hidden}
+        return Fit(
+            sky=sky, solver=self.solver, free=self.free, shared=self.setup.shared, used=self.sampling.used,
+            start=self.start, fwhm_nm=self.sampling.fwhm_nm, measurement=self.measurement, priors=self.priors,
+            smooth=self.smooth, response=self.sampling.response, fitted_nm=sky.wavelength_nm[self.chosen],
+            notes=tuple(self.sampling.notes), fixed=kept, **stack, **words,
+        )  # fmt: skip
+
+    def _row(self, t: int, index: int, part: Estimate, order: np.ndarray) -> dict:
+        values = np.asarray(part.values[index], float)[order]
+        noise, model = (np.asarray(v[index], float)[np.ix_(order, order)] for v in (part.noise, part.model))
+        covariance = noise + np.where(np.isfinite(noise), model, 0.0)
+        at_bound = np.array([PARAMETERS[n].at_bound(v) for n, v in zip(self.free, values, strict=True)])
+        sigma = np.sqrt(np.diag(covariance))
+        result = result_name(part.result) if bool(part.finite) else "failed"
+        calibration = np.asarray(part.calibration, float)
+        fitted = with_values(self.fixed, self.free, as_float(values))
+        reading = self.sampling.readings(self.solver, fitted, t)
+        scale = np.interp(self.sky.wavelength_nm, self.sky.wavelength_nm[self.chosen], calibration)
+        reading = reading * scale[None]
+        used = self.sampling.used[t]
+        error = (reading - self.sky.radiance[t])[used]
+        weight = np.ones((len(self.sky.view_zenith), self.chosen.size))
+        held = np.asarray(self.problem.weight[t]).any(axis=1)
+        weight[self.places[t][held]] = np.asarray(part.weight[index], float)[held]
+        gain = np.zeros((len(order), *weight.shape))
+        gain[:, self.places[t][held]] = np.asarray(part.gain[index], float)[order][:, held]
+        weight = np.where(used[:, self.chosen], weight, np.nan)
+        determined, sentences = in_words(
+            self.free, values, sigma, np.asarray(part.triangle[index], float)[:, order], at_bound, self.priors
+        )
+        return {
+            "values": values,
+            "sigma": sigma,
+            "covariance": covariance,
+            "model_sigma": np.sqrt(np.diag(model)),
+            "at_bound": at_bound,
+            "determined": determined,
+            "model": reading,
+            "rmse": float(np.sqrt(np.mean(error**2))),
+            "reduced_chi_square": float(part.chi_square[index]),
+            "degrees_of_freedom": float(part.freedom[index]),
+            "weight": weight,
+            "gain": gain,
+            "calibration": calibration,
+            "calibration_sigma": np.asarray(part.calibration_sigma, float),
+            "steps": int(part.steps),
+            "cost": float(part.cost),
+            "result": result,
+            "undetermined": sentences,
+        }
+
+
+_WORDS = ("result", "undetermined")
+
+
+@eqx.filter_jit
+def _estimate(setup, solvers, fixed, problem, priors, points):
+    return estimate(setup, solvers, fixed, problem, priors, points)
+
+
+def _checked_priors(priors: dict, free: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    for name, entry in priors.items():
+        if name not in free:
+            raise ValueError(f"`priors` must name free parameters ({', '.join(free)}), got {name!r}")
+        value, sigma = (float(v) for v in entry)
+        parameter = PARAMETERS[name]
+        if not (parameter.lower <= value <= parameter.upper and sigma > 0.0 and np.isfinite(sigma)):
+            raise ValueError(
+                f"`priors` of {name} must be a value in [{parameter.lower:g}, {parameter.upper:g}] {parameter.unit} "
+                f"and a positive sigma, got {entry}"
+            )
+        priors[name] = value, sigma
+    return priors
+
+
+def _check_shared(shared: tuple[str, ...], smooth: dict, free: tuple[str, ...]) -> None:
+    for name in shared:
+        if name not in free:
+            raise ValueError(f"`shared` must name free parameters ({', '.join(free)}), got {name!r}")
+    for name, sigma in smooth.items():
+        if name not in free or name in shared:
+            raise ValueError(f"`smooth` must name free parameters that are not shared, got {name!r}")
+        if not 0.0 < sigma < np.inf:
+            raise ValueError(f"`smooth` of {name} must be a positive sigma per hour, got {sigma!r}")
 
 
 def predict(fitted: Fitted, sky: Sky) -> np.ndarray:
-    """The fitted skies at the times, directions and wavelengths of another sky.
+    """The fitted skies at the times, directions and wavelengths of another sky, as the instrument would read them.
 
     **Arguments:** `fitted` (`Fit.fitted`, or what `skyfit.load` gives); `sky`, whose radiance is not used.
-    **Returns:** radiance `[time, direction, wavelength]`, W m^-2 sr^-1 nm^-1, NaN beyond 300-1100 nm.
+    **Returns:** radiance `[time, direction, wavelength]`, W m^-2 sr^-1 nm^-1, NaN beyond 300-1100 nm; the fitted
+    pointing offsets and, interpolated, the fitted calibration are in it.
     **Errors:** `ValueError` for a time of `sky` that was not fitted; one sky without a time matches one fit.
     """
-    forward = _Forward(sky, fitted.solver, fitted.fwhm_nm)
+    sampling = Sampling(sky, fitted.fwhm_nm)
     order = [_matching(fitted.time, sky.time, t) for t in range(len(sky.time))]
-    return np.stack([forward.radiance(t, fitted.models[i]) for t, i in enumerate(order)])
+    read = np.stack([sampling.readings(fitted.solver, fitted.models[i], t) for t, i in enumerate(order)])
+    scale = np.stack([np.interp(sky.wavelength_nm, fitted.fitted_nm, fitted.calibration[i]) for i in order])
+    return read * scale[:, None]
 
 
 def _matching(fitted_time: np.ndarray, time: np.ndarray, index: int) -> int:
@@ -133,168 +304,7 @@ def _matching(fitted_time: np.ndarray, time: np.ndarray, index: int) -> int:
     return int(near[0])
 
 
-_COLUMNS = (
-    "values", "sigma", "covariance", "at_bound", "determined", "model", "rmse", "reduced_chi_square", "steps",
-    "result", "undetermined",
-)  # fmt: skip
-
-
-class _Forward:
-    """The scenes of a sky and the model's radiance in them."""
-
-    def __init__(self, sky: Sky, solver: AbstractSolver, fwhm_nm: float):
-        self.sky, self.solver = sky, solver
-        inside = (sky.wavelength_nm >= _SPECTRUM_NM[0]) & (sky.wavelength_nm <= _SPECTRUM_NM[1])
-        self.inside = np.flatnonzero(inside)
-        width = fwhm_nm if np.isfinite(fwhm_nm) and fwhm_nm > 0.0 else None
-        self.irradiance = np.full(sky.wavelength_nm.shape, np.nan)
-        self.irradiance[inside] = np.asarray(extraterrestrial_irradiance(sky.wavelength_nm[inside], width))
-        self.view = Directions(sky.view_zenith, sky.view_azimuth)
-
-    def scene(self, time: int, chosen: np.ndarray) -> Scene:
-        """The scene of one time at the chosen wavelengths (indices)."""
-        sky = self.sky
-        factor = 1.0 if np.isnat(sky.time[time]) else earth_sun_factor(day_of_year(sky.time[time]))
-        return Scene(
-            sky.sun_zenith[time], sky.sun_azimuth[time], self.view, sky.wavelength_nm[chosen],
-            self.irradiance[chosen] * factor,
-        )  # fmt: skip
-
-    def radiance(self, time: int, model: SkyModel) -> np.ndarray:
-        """The model at every wavelength of the sky, `[direction, wavelength]`, NaN beyond the solar table."""
-        result = np.full(self.sky.radiance.shape[1:], np.nan)
-        result[:, self.inside] = simulate(self.solver, model, self.scene(time, self.inside))
-        return result
-
-
-def day_of_year(time: np.datetime64) -> int:
-    """The day of the year, 1 for 1 January."""
-    return int((time.astype("datetime64[D]") - time.astype("datetime64[Y]")).astype(int)) + 1
-
-
 @eqx.filter_jit
 def simulate(solver: AbstractSolver, model: SkyModel, scene: Scene):
     """The radiance a model gives in a scene, the instrument's pointing included, `[direction, wavelength]`."""
-    moved = eqx.tree_at(
-        lambda s: (s.sun_zenith, s.sun_azimuth),
-        scene,
-        (
-            scene.sun_zenith + model.instrument.pointing_zenith,
-            scene.sun_azimuth + model.instrument.pointing_azimuth,
-        ),
-    )
-    return solver.radiance(model.atmosphere, moved)
-
-
-@eqx.filter_jit
-def _solve(solver, free, fixed, first, scene, measured, weight, max_steps):
-    """One sky: the solution, and the covariance and its triangle in the parameters' own units."""
-
-    def bound(unbound):
-        return jnp.stack([PARAMETERS[n].bound(unbound[i]) for i, n in enumerate(free)])
-
-    def residual(values, arguments):
-        fixed, scene, measured, weight = arguments
-        model = with_values(fixed, free, values)
-        return ((simulate(solver, model, scene) - measured) * weight).reshape(-1)
-
-    limit = jnp.full_like(first, LOGISTIC_LIMIT)
-    solution = least_squares(residual, bound, first, (fixed, scene, measured, weight), limit, max_steps)
-    best = solution.value
-    scale = jnp.stack(
-        [best[i] if PARAMETERS[n].log else as_float(PARAMETERS[n].spread(1.0)) for i, n in enumerate(free)]
-    )
-    spread, triangle = covariance(solution.jacobian, scale)
-    return solution, spread, triangle
-
-
-def _describe(free, solved, count: int) -> dict:
-    """Host-side words and numbers for one solved sky."""
-    solution, spread, triangle = solved
-    values, spread = np.asarray(solution.value, float), np.asarray(spread, float)
-    reduced = float(np.sum(np.square(solution.residual))) / max(count - len(free), 1)
-    spread = spread * max(reduced, 1.0)
-    sigma = np.sqrt(np.diag(spread))
-    limit = np.array([_DETERMINED_SHARE * PARAMETERS[n].spread(v) for n, v in zip(free, values, strict=True)])
-    determined = np.isfinite(sigma) & (sigma < limit)
-    at_bound = np.array([PARAMETERS[n].at_bound(v) for n, v in zip(free, values, strict=True)])
-    finite = bool(np.all(np.isfinite(values)) and np.isfinite(reduced))
-    return {
-        "values": values,
-        "sigma": sigma,
-        "covariance": spread,
-        "at_bound": at_bound,
-        "determined": determined,
-        "reduced_chi_square": reduced,
-        "steps": int(solution.steps),
-        "result": result_name(solution.result) if finite else "failed",
-        "undetermined": _in_words(free, np.asarray(triangle, float), max(reduced, 1.0), determined, at_bound),
-    }
-
-
-def _in_words(free, triangle, reduced: float, determined, at_bound) -> tuple[str, ...]:
-    """Sentences on what the data leave open, from the weak directions of the scaled Jacobian."""
-    sentences = [
-        f"{name} is not determined by these data" for name, yes in zip(free, determined, strict=True) if not yes
-    ]
-    sentences += [
-        f"{name} stands at its bound: the data would take it further, its sigma is only local"
-        for name, yes in zip(free, at_bound, strict=True)
-        if yes
-    ]
-    if np.all(np.isfinite(triangle)):
-        _, singular, rows = np.linalg.svd(triangle)
-        for value, row in zip(singular, rows, strict=True):
-            mixed = [free[i] for i in np.flatnonzero(np.abs(row) > 0.35)]
-            if value < np.sqrt(reduced) / _DETERMINED_SHARE and len(mixed) > 1:
-                sentences.append(f"only a combination is determined of {', '.join(mixed)}")
-    return tuple(sentences)
-
-
-def station_pressure(sky: Sky) -> tuple[float, str]:
-    """The pressure at the station, Pa, by the file or by its altitude, and a note where it is assumed."""
-    if np.isfinite(sky.pressure_pa):
-        return sky.pressure_pa, ""
-    if np.isfinite(sky.altitude_m):
-        return float(pressure_at_altitude(sky.altitude_m)), ""
-    return SEA_LEVEL_PRESSURE, "no pressure or altitude in the file: Rayleigh depth of sea level"
-
-
-def _line_shape(sky: Sky, notes: list) -> float:
-    if np.isfinite(sky.fwhm_nm):
-        return sky.fwhm_nm
-    width = estimate_fwhm(sky)
-    if np.isfinite(width):
-        notes.append(f"line shape estimated from the solar lines: {width:g} nm FWHM")
-    else:
-        notes.append("no line shape in the file and too few wavelengths to estimate it: none applied")
-    return width
-
-
-def _usable(sky: Sky, notes: list) -> np.ndarray:
-    """The sky's mask without what the model cannot explain, counted in the notes."""
-    wavelength = sky.wavelength_nm
-    outside = (wavelength < _SPECTRUM_NM[0]) | (wavelength > _SPECTRUM_NM[1])
-    bands = np.zeros_like(outside)
-    for low, high in GAS_BANDS_NM:
-        bands |= (wavelength >= low) & (wavelength <= high)
-    for where, reason in ((outside, "beyond 300-1100 nm"), (bands & ~outside, "in gas bands")):
-        count = int(sky.usable[..., where].sum())
-        if count:
-            notes.append(f"{count} samples {reason} left out")
-    return sky.usable & ~(outside | bands)
-
-
-def _chosen_wavelengths(used: np.ndarray) -> np.ndarray:
-    """Indices of the wavelengths that are fitted: all that hold samples, or an even choice of many."""
-    candidates = np.flatnonzero(used.any(axis=(0, 1)))
-    if candidates.size <= _MOST_WAVELENGTHS:
-        return candidates
-    return candidates[np.linspace(0, candidates.size - 1, _MOST_WAVELENGTHS).round().astype(int)]
-
-
-def _sigma(sky: Sky, used: np.ndarray) -> np.ndarray:
-    if sky.sigma is not None:
-        return np.where(used, sky.sigma, 1.0)
-    floor = _FLOOR_NOISE * np.median(sky.radiance[used])
-    return np.where(used, np.hypot(_RELATIVE_NOISE * sky.radiance, floor), 1.0)
+    return solver.radiance(model.atmosphere, model.instrument.sees(scene))

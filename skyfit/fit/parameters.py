@@ -16,7 +16,7 @@ from ..atmosphere import (
     turbidity_to_optical_depth,
     TwoTermHenyeyGreenstein,
 )
-from ..scene import as_float
+from ..scene import as_float, Scene
 
 
 class Instrument(eqx.Module):
@@ -24,6 +24,11 @@ class Instrument(eqx.Module):
 
     pointing_zenith: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
     pointing_azimuth: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
+
+    def sees(self, scene: Scene) -> Scene:
+        """The scene as it stands in the instrument's frame."""
+        moved = scene.sun_zenith + self.pointing_zenith, scene.sun_azimuth + self.pointing_azimuth
+        return eqx.tree_at(lambda s: (s.sun_zenith, s.sun_azimuth), scene, moved)
 
 
 class SkyModel(eqx.Module):
@@ -62,21 +67,32 @@ class Parameter(NamedTuple):
 
     def bound(self, free):
         """The value at an unconstrained `free` number: a logistic curve between the bounds."""
+        return self.from_scale(self.on_scale(free))
+
+    def on_scale(self, free):
+        """As `bound`, on the scale of the parameter: the logarithm of a positive quantity, else the value itself."""
         low, high = self._ends()
-        value = low + (high - low) * jax.nn.sigmoid(free)
-        return jnp.exp(value) if self.log else value
+        return low + (high - low) * jax.nn.sigmoid(free)
+
+    def from_scale(self, scaled):
+        """The value that stands at a place of the parameter's scale."""
+        return jnp.exp(scaled) if self.log else scaled
+
+    def to_scale(self, value: float) -> float:
+        """The inverse of `from_scale`, for one number."""
+        return float(np.log(value)) if self.log else float(value)
 
     def unbound(self, value: float) -> float:
         """The inverse of `bound`, for a value inside the bounds (nudged inside by 1 % of the range)."""
         low, high = self._ends()
-        share = ((np.log(value) if self.log else value) - low) / (high - low)
+        share = (self.to_scale(value) - low) / (high - low)
         share = np.clip(share, 0.01, 0.99)
         return float(np.log(share / (1.0 - share)))
 
     def at_bound(self, value: float) -> bool:
         """Whether the value lies within a thousandth of the range from a bound."""
         low, high = self._ends()
-        share = ((np.log(value) if self.log else value) - low) / (high - low)
+        share = (self.to_scale(value) - low) / (high - low)
         return bool(share < 1e-3 or share > 1.0 - 1e-3)
 
     def spread(self, value: float) -> float:
@@ -119,6 +135,7 @@ _LIST = (
     Parameter("asymmetry", "1", 0.0, 0.95, lambda m: m.atmosphere.aerosol.phase.asymmetry),
     Parameter("asymmetry_second", "1", -0.9, 0.8, lambda m: m.atmosphere.aerosol.phase.asymmetry_second),
     Parameter("forward_fraction", "1", 0.0, 1.0, lambda m: m.atmosphere.aerosol.phase.forward_fraction),
+    Parameter("forward_fraction_slope", "1", -0.5, 0.5, lambda m: m.atmosphere.aerosol.phase.forward_fraction_slope),
     Parameter(
         "aerosol_scale_height",
         "m",
@@ -153,7 +170,7 @@ _LIST = (
     ),
 )
 PARAMETERS: dict[str, Parameter] = {p.name: p for p in _LIST}
-_TWO_TERM = ("asymmetry_second", "forward_fraction")
+_TWO_TERM = ("asymmetry_second", "forward_fraction", "forward_fraction_slope")
 
 
 def start_model(free: tuple[str, ...], pressure: float) -> SkyModel:

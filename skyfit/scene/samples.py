@@ -26,6 +26,8 @@ class Sky:
     - `time`: datetime64, UTC, [time]; NaT where unknown
     - `latitude_deg`, `longitude_deg`, `altitude_m`, `pressure_pa`: the station, NaN if unknown
     - `fwhm_nm`: full width at half maximum of the instrument's Gaussian line shape, nm, or NaN
+    - `direct_irradiance`, `direct_sigma`: of the sun's beam on a plane normal to it, W m^-2 nm^-1,
+      [time, wavelength], NaN where missing; None where it was not measured
     - `masked`: reason -> count of samples that are not usable for it
     - `notes`: what a user of the samples should know
     - `source`: file name
@@ -50,6 +52,8 @@ class Sky:
     altitude_m: float = float("nan")
     pressure_pa: float = float("nan")
     fwhm_nm: float = float("nan")
+    direct_irradiance: np.ndarray | None = None
+    direct_sigma: np.ndarray | None = None
     masked: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     source: str = ""
@@ -63,9 +67,11 @@ class Sky:
             "wavelength_nm",
             "sun_zenith",
             "sun_azimuth",
+            "direct_irradiance",
+            "direct_sigma",
         ):
             value = getattr(self, name)
-            if value is None and name == "sigma":
+            if value is None and name in ("sigma", "direct_irradiance", "direct_sigma"):
                 continue
             try:
                 value = np.asarray(value, dtype=np.float64)
@@ -104,6 +110,8 @@ class Sky:
             "sun_zenith": (times,),
             "sun_azimuth": (times,),
             "time": (times,),
+            "direct_irradiance": (times, wavelengths),
+            "direct_sigma": (times, wavelengths),
         }
         for name, shape in expected.items():
             value = getattr(self, name)
@@ -165,6 +173,8 @@ class Sky:
             sun_zenith=self.sun_zenith[part],
             sun_azimuth=self.sun_azimuth[part],
             time=self.time[part],
+            direct_irradiance=None if self.direct_irradiance is None else self.direct_irradiance[part],
+            direct_sigma=None if self.direct_sigma is None else self.direct_sigma[part],
             masked=self.masked if times == 1 else self._recount(self.radiance[part], usable),
         )
 
@@ -202,6 +212,8 @@ class Sky:
             sigma=None if self.sigma is None else interpolate(self.sigma),
             usable=usable,
             wavelength_nm=wanted,
+            direct_irradiance=None if self.direct_irradiance is None else interpolate(self.direct_irradiance),
+            direct_sigma=None if self.direct_sigma is None else interpolate(self.direct_sigma),
             masked=self._recount(radiance, usable),
         )
 

@@ -1,0 +1,411 @@
+"""The parameters of some times of a sky, each time's own and those that all share, with their covariance."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ..scene import as_float, haversine
+from ..transport import AbstractSolver
+from .chain import Blocks, damped, marginal_rows, minimise, Point, reduced, Rows, solve_chain
+from .measurement import error_shapes, Loss, robust
+from .parameters import PARAMETERS, SkyModel, with_values
+from .problem import observe, Problem
+from .solve import covariance, LOGISTIC_LIMIT
+
+
+# strengths, in units of a column's length, of what keeps the elimination of unknowns without influence sound
+_GUARD = 1e-6
+# normal deviates: the median size is 1 / 1.4826 standard deviations
+_MEDIAN_SIZE = 1.4826
+
+
+class Setup(NamedTuple):
+    """What a fit is asked for, all static: names of each time's own and of the shared parameters, loss, steps."""
+
+    own: tuple[str, ...]
+    shared: tuple[str, ...]
+    loss: Loss
+    threshold: float
+    model_error: float
+    calibrated: bool
+    max_steps: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.own + self.shared
+
+
+class Priors(NamedTuple):
+    """Gaussian priors on each parameter's scale: centre and one over sigma (0: none), in the order own, shared.
+
+    `calibration`: one over the sigma of a wavelength's scale. `step`: one over the sigma of the change between two
+    neighbours in time.
+    """
+
+    centre: Float[Array, " parameter"]
+    weight: Float[Array, " parameter"]
+    calibration: Float[Array, ""]
+    step: Float[Array, "step own"]
+
+
+class Known(NamedTuple):
+    """What the solver said at the last point that was accepted."""
+
+    radiance: Float[Array, "time direction channel"]
+    direct: Float[Array, "time channel"] | None
+    jacobian: Float[Array, "time sample parameter"]
+
+
+class Estimate(NamedTuple):
+    """The outcome for some times; arrays only, so that it passes through jit and vmap.
+
+    `values` and covariances are in the order own, shared, in the parameters' stated units. `noise` is the covariance by
+    noise, priors included, already widened by `scale` squared; `model` that by the model's stated error. `triangle` has
+    the scaled Jacobian's singular values. `gain`: d parameter / d radiance of the same time. `cost`: half the sum of
+    squares after the loss.
+    """
+
+    values: Float[Array, "time parameter"]
+    noise: Float[Array, "time parameter parameter"]
+    model: Float[Array, "time parameter parameter"]
+    triangle: Float[Array, "time row parameter"]
+    freedom: Float[Array, " time"]
+    gain: Float[Array, "time parameter direction channel"]
+    weight: Float[Array, "time direction channel"]
+    scale: Float[Array, " time"]
+    chi_square: Float[Array, " time"]
+    calibration: Float[Array, " channel"]
+    calibration_sigma: Float[Array, " channel"]
+    cost: Float[Array, ""]
+    steps: Int[Array, ""]
+    finite: Bool[Array, ""]
+    result: Any
+
+
+def bound(names: tuple[str, ...], free: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
+    """Values of unconstrained numbers, in the parameters' stated units."""
+    return jnp.stack([PARAMETERS[n].bound(free[i]) for i, n in enumerate(names)])
+
+
+def _scaled(names: tuple[str, ...], free: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
+    return jnp.stack([PARAMETERS[n].on_scale(free[i]) for i, n in enumerate(names)])
+
+
+def _with_slope(function, names: tuple[str, ...], free):
+    """A map that acts on each number by itself, and its derivative."""
+    return jax.jvp(lambda v: function(names, v), (free,), (jnp.ones_like(free),))
+
+
+def _samples(one: Problem, radiance, direct):
+    """Sky and direct beam in one row of samples."""
+    return radiance.reshape(-1) if one.direct is None else jnp.concatenate([radiance.reshape(-1), direct])
+
+
+def _whitened(problem: Problem, known: Known, calibration, scale):
+    """Residuals over sigma and weights over all samples of each time, `[time, sample]`, and the model beside them."""
+    model = known.radiance * calibration[None, None]
+    weight = (problem.weight / scale[:, None, None]).reshape(model.shape[0], -1)
+    residual = (model - problem.measured).reshape(model.shape[0], -1)
+    if known.direct is None:
+        return residual * weight, weight
+    direct = (known.direct - problem.direct) * problem.direct_weight / scale[:, None]
+    weights = jnp.concatenate([weight, problem.direct_weight / scale[:, None]], axis=1)
+    return jnp.concatenate([residual * weight, direct], axis=1), weights
+
+
+def _reduced_time(own, common, by_channel, right, channels: int):
+    """One time's rows as few: each channel's scale touches its own samples only, and goes first.
+
+    `by_channel`: derivative of each sky sample by its channel's scale, `[direction, channel]`, or None. Returns own,
+    common (the channels' scales last) and right-hand sides of a channel's and a parameter's rows.
+    """
+    width = own.shape[1], common.shape[1]
+    count = sum(width) + 1
+    if by_channel is None:
+        return reduced(own, common, right, count)
+    sky = by_channel.size
+    everything = jnp.concatenate([own, common, right], axis=1)
+    columns = everything[:sky].reshape(-1, channels, everything.shape[1])
+    length = jnp.sqrt(jnp.sum(by_channel**2, axis=0))
+    unit = by_channel / jnp.where(length > 0.0, length, 1.0)[None]
+    along = jnp.einsum("dc,dcn->cn", unit, columns)
+    across = (columns - unit[..., None] * along[None]).reshape(sky, -1)
+    rest = jnp.concatenate([across, everything[sky:]])
+    rows = reduced(rest[:, : width[0]], rest[:, width[0] : sum(width)], rest[:, sum(width) :], count)
+    nothing = jnp.zeros((count, channels), own.dtype)
+    return (
+        jnp.concatenate([along[:, : width[0]], rows[0]]),
+        jnp.concatenate(
+            [
+                jnp.concatenate([along[:, width[0] : sum(width)], jnp.diag(length)], axis=1),
+                jnp.concatenate([rows[1], nothing], axis=1),
+            ]
+        ),
+        jnp.concatenate([along[:, sum(width) :], rows[2]]),
+    )
+
+
+def _objective(setup: Setup, solver: AbstractSolver):
+    """The rows of all times, linear about the point, for `minimise`."""
+    names, count = setup.names, len(setup.own)
+
+    def rows(point: Point, arguments):
+        fixed, problem, priors, scale = arguments
+        here = jax.lax.stop_gradient(point)
+        times, channels = problem.measured.shape[0], problem.measured.shape[2]
+        shared, calibration = here.shared[: len(setup.shared)], 1.0 + here.shared[len(setup.shared) :]
+        if not setup.calibrated:
+            calibration = jnp.ones(channels, here.own.dtype)
+
+        def known_at(item):
+            own, one = item
+            free = jnp.concatenate([own, shared])
+            values, slope = _with_slope(bound, names, free)
+
+            def readings(values):
+                radiance, direct = observe(solver, with_values(fixed, names, values), one)
+                return _samples(one, radiance, direct), (radiance, direct)
+
+            jacobian, (radiance, direct) = jax.jacfwd(readings, has_aux=True)(values)
+            return Known(radiance, direct, jacobian), slope
+
+        known, slopes = jax.lax.map(known_at, (here.own, problem))
+        residual, weight = _whitened(problem, known, calibration, scale)
+        after = robust(residual, setup.loss, setup.threshold)
+        by_value = known.jacobian * (after.slope * weight * _gain_of(calibration, problem))[..., None]
+        columns = by_value * slopes[:, None]
+
+        def reduced_at(item):
+            columns, value, by_channel = item
+            return _reduced_time(columns[:, :count], columns[:, count:], by_channel, value[:, None], channels)
+
+        by_channel = None
+        if setup.calibrated:
+            by_channel = known.radiance * (after.slope * weight)[:, : known.radiance[0].size].reshape(known.radiance.shape)
+        own, common, right = jax.vmap(reduced_at)((columns, after.value, by_channel))
+        scaled, steep = jax.vmap(lambda own: _with_slope(_scaled, setup.own, own))(here.own) if count else (here.own, here.own)
+        prior = (scaled - priors.centre[:count]) * priors.weight[:count]
+        prior_slope = (steep * priors.weight[:count])[:, :, None] * jnp.eye(count, dtype=steep.dtype)[None]
+        own = jnp.concatenate([own, prior_slope], axis=1)
+        common = jnp.concatenate([common, jnp.zeros((times, count, common.shape[2]), common.dtype)], axis=1)
+        right = jnp.concatenate([right[..., 0], prior], axis=1)
+        step = (scaled[1:] - scaled[:-1]) * priors.step
+        shared_value, shared_slope = _shared_priors(setup, here.shared, priors)
+        move = jax.tree.map(jnp.subtract, point, here)
+        data = right + jnp.einsum("trp,tp->tr", own, move.own) + jnp.einsum("trs,s->tr", common, move.shared)
+        stepped = step + priors.step * (steep[1:] * move.own[1:] - steep[:-1] * move.own[:-1])
+        return Rows(data, shared_value + shared_slope * move.shared, stepped), known
+
+    return rows
+
+
+def _gain_of(calibration, problem: Problem):
+    """The instrument's scale of every sample, 1 for the direct beam."""
+    sky = jnp.broadcast_to(calibration[None], problem.measured.shape[1:]).reshape(-1)
+    if problem.direct is None:
+        return sky[None]
+    return jnp.concatenate([sky, jnp.ones(problem.direct.shape[1], sky.dtype)])[None]
+
+
+def _shared_priors(setup: Setup, shared, priors: Priors):
+    """Residuals of the shared parameters' and the scales' priors, and their slopes."""
+    count, first = len(setup.shared), len(setup.own)
+    scales = shared[count:] * priors.calibration
+    if not count:
+        return scales, jnp.broadcast_to(priors.calibration, scales.shape)
+    scaled, steep = _with_slope(_scaled, setup.shared, shared[:count])
+    value = (scaled - priors.centre[first:]) * priors.weight[first:]
+    slope = steep * priors.weight[first:]
+    return jnp.concatenate([value, scales]), jnp.concatenate([slope, jnp.broadcast_to(priors.calibration, scales.shape)])
+
+
+def estimate(
+    setup: Setup,
+    solvers: tuple[AbstractSolver, AbstractSolver],
+    fixed: SkyModel,
+    problem: Problem,
+    priors: Priors,
+    starts: Point,
+) -> Estimate:
+    """The parameters of some times and what is known of their errors.
+
+    **Arguments:** `solvers` of the first and of the last steps; `fixed`, a model with the values that are not fitted;
+    `starts`, unconstrained numbers, `own` `[start, time, parameter]` and `shared` `[start, shared]`: the first solver
+    goes from each of them, the last one from the best end. The time axis of all is any length; its cost is linear.
+    """
+    channels = problem.measured.shape[2]
+    none = channels if setup.calibrated else 0
+    box = jnp.concatenate([jnp.full(len(setup.shared), LOGISTIC_LIMIT), jnp.full(none, jnp.inf)])
+    dtype = problem.measured.dtype
+    limit = Point(jnp.full(starts.own.shape[1:], LOGISTIC_LIMIT, dtype), box.astype(dtype))
+    ones = jnp.ones(problem.measured.shape[0], dtype)
+
+    def run(solver, point, scale):
+        rows = _objective(setup, solver)
+        end, known, steps, result = minimise(rows, point, (fixed, problem, priors, scale), limit, setup.max_steps)
+        return end, known, steps, result
+
+    def first(start):
+        start = Point(start.own, jnp.concatenate([start.shared, jnp.zeros(none, dtype)]))
+        end, known, steps, result = run(solvers[0], start, ones)
+        cost = _cost(setup, problem, priors, end, known, ones)
+        return end, known, steps, jnp.where(jnp.isfinite(cost), cost, jnp.inf)
+
+    ends, known, steps, costs = jax.lax.map(first, starts)
+    best = jnp.argmin(costs)
+    end, known, used = jax.tree.map(lambda v: v[best], (ends, known, steps))
+    scale = _noise_scale(setup, problem, end, known)
+    end, known, more, result = run(solvers[1], end, scale)
+    return _described(setup, problem, priors, end, known, used + more, result)
+
+
+def _calibration(setup: Setup, problem: Problem, end: Point):
+    if setup.calibrated:
+        return 1.0 + end.shared[len(setup.shared) :]
+    return jnp.ones(problem.measured.shape[2], end.own.dtype)
+
+
+def _cost(setup: Setup, problem: Problem, priors: Priors, end: Point, known: Known, scale):
+    """Half the sum of squares after the loss, priors included."""
+    residual, _ = _whitened(problem, known, _calibration(setup, problem, end), scale)
+    total = jnp.sum(robust(residual, setup.loss, setup.threshold).value ** 2)
+    count = len(setup.own)
+    if count:
+        scaled = jax.vmap(lambda own: _scaled(setup.own, own))(end.own)
+        total += jnp.sum(((scaled - priors.centre[:count]) * priors.weight[:count]) ** 2)
+        total += jnp.sum(((scaled[1:] - scaled[:-1]) * priors.step) ** 2)
+    return 0.5 * (total + jnp.sum(_shared_priors(setup, end.shared, priors)[0] ** 2))
+
+
+def _noise_scale(setup: Setup, problem: Problem, end: Point, known: Known):
+    """How many times the stated sigma the residuals are, per time, 1 at least."""
+    residual, weight = _whitened(problem, known, _calibration(setup, problem, end), jnp.ones(end.own.shape[0]))
+    if setup.loss == "squares":
+        scale = jnp.sqrt(_chi_square(setup, residual, weight, jnp.ones_like(residual)))
+    else:
+        size = jnp.where(weight > 0.0, jnp.abs(residual), jnp.nan)
+        scale = _MEDIAN_SIZE * jnp.nanmedian(size, axis=1)
+    return jnp.where(scale > 1.0, scale, 1.0)
+
+
+def _chi_square(setup: Setup, residual, weight, robust_weight):
+    """Reduced, per time: the shared parameters count with their share of each."""
+    times = residual.shape[0]
+    samples = jnp.sum((weight > 0.0) * robust_weight, axis=1)
+    known = len(setup.own) + len(setup.shared) / times
+    return jnp.sum(robust_weight * residual**2, axis=1) / jnp.maximum(samples - known, 1.0)
+
+
+def _described(setup: Setup, problem: Problem, priors: Priors, end: Point, known: Known, steps, result) -> Estimate:
+    """Values, covariances and gains at the end of a fit."""
+    names, count, own_count = setup.names, len(setup.names), len(setup.own)
+    times, directions, channels = problem.measured.shape
+    shared = jnp.broadcast_to(end.shared[None, : len(setup.shared)], (times, len(setup.shared)))
+    values = jax.vmap(lambda free: bound(names, free))(jnp.concatenate([end.own, shared], axis=1))
+    calibration = _calibration(setup, problem, end)
+    one = jnp.ones(times, values.dtype)
+    raw, raw_weight = _whitened(problem, known, calibration, one)
+    scale = _noise_scale(setup, problem, end, known)
+    trust = robust(raw / scale[:, None], setup.loss, setup.threshold).weight
+    chi = _chi_square(setup, raw, raw_weight, trust)
+    scale = jnp.sqrt(jnp.maximum(chi, 1.0))
+    weight = jnp.sqrt(trust) * raw_weight / scale[:, None]
+    log = jnp.asarray([PARAMETERS[n].log for n in names])
+    spread = jnp.where(log[None], values, as_float([PARAMETERS[n].spread(1.0) for n in names])[None])
+    instrument = _gain_of(calibration, problem)
+    columns = known.jacobian * (weight * instrument)[..., None] * spread[:, None]
+    by_channel = None
+    if setup.calibrated:
+        by_channel = known.radiance * weight[:, : directions * channels].reshape(problem.measured.shape)
+    errors = setup.model_error * _model_errors(problem, known) * (weight * instrument)[..., None]
+
+    def reduced_at(item):
+        columns, right, by_channel = item
+        return _reduced_time(columns[:, :own_count], columns[:, own_count:], by_channel, right, channels)
+
+    own, common, right = jax.vmap(reduced_at)((columns, errors, by_channel))
+    # a prior or a step on the parameter's scale: a unit there is one e-fold, or the range
+    unit = jnp.where(log, 1.0, as_float([PARAMETERS[n].spread(1.0) for n in names]))
+    tight = unit * priors.weight
+    side = right.shape[2]
+    prior_rows = jnp.broadcast_to(jnp.diag(tight[:own_count])[None], (times, own_count, own_count))
+    own = jnp.concatenate([own, prior_rows], axis=1)
+    common = jnp.concatenate([common, jnp.zeros((times, own_count, common.shape[2]), own.dtype)], axis=1)
+    right = jnp.concatenate([right, jnp.zeros((times, own_count, side), own.dtype)], axis=1)
+    scales = common.shape[2] - len(setup.shared)
+    prior = jnp.diag(jnp.concatenate([tight[own_count:], jnp.broadcast_to(priors.calibration, (scales,))]))
+    link = unit[:own_count] * priors.step
+    blocks = Blocks(
+        own, common, right, prior, jnp.zeros((prior.shape[0], side), own.dtype), -link, link,
+        jnp.zeros((*link.shape, side), own.dtype),
+    )  # fmt: skip
+    size = jax.tree.map(
+        lambda v: jnp.where(v > 0.0, _GUARD * v, 1.0),
+        Point(
+            jnp.sqrt(jnp.sum(own**2, axis=1)),
+            jnp.sqrt(jnp.sum(common**2, axis=(0, 1)) + jnp.diagonal(prior) ** 2),
+        ),
+    )
+    marginal = marginal_rows(blocks, size)
+    every = jnp.ones(marginal.shape[2], own.dtype)
+    spreads = jax.vmap(lambda rows: covariance(rows, every)[0])(marginal)
+    # the channels' scales first, so that what is left is of the parameters alone
+    order = jnp.concatenate([marginal[..., count:], marginal[..., :count]], axis=2)
+    triangles = jnp.linalg.qr(order, mode="r")[:, scales:, scales:]
+    shift_own, shift_shared = solve_chain(damped(blocks, size))
+    parameters = len(setup.shared)
+    shift = jnp.concatenate(
+        [shift_own, jnp.broadcast_to(shift_shared[None, :parameters], (times, parameters, side))], axis=1
+    )
+    shift = shift * spread[..., None]
+    both = spread[:, :, None] * spread[:, None, :]
+    by_sample = jnp.einsum("tpq,tsq->tps", spreads[:, :count, :count], columns)[..., : directions * channels]
+    gain = by_sample.reshape(times, count, directions, channels)
+    if setup.calibrated:
+        gain = gain + jnp.einsum("tpc,tdc->tpdc", spreads[:, :count, count:], by_channel)
+    sky_weight = weight[:, : directions * channels].reshape(problem.measured.shape)
+    deviations = jnp.diagonal(spreads, axis1=1, axis2=2)
+    freedom = jnp.clip(1.0 - tight[None] ** 2 * deviations[:, :count], 0.0, 1.0)
+    freedom = jnp.sum(jnp.where(jnp.isfinite(deviations[:, :count]), freedom, 0.0), axis=1)
+    cost = _cost(setup, problem, priors, end, known, one)
+    scales_sigma = jnp.sqrt(deviations[0, count:]) if setup.calibrated else jnp.zeros(channels, own.dtype)
+    return Estimate(
+        values,
+        jnp.where(jnp.isinf(spreads[:, :count, :count]), spreads[:, :count, :count], spreads[:, :count, :count] * both),
+        jnp.einsum("tpk,tqk->tpq", shift, shift),
+        triangles,
+        freedom,
+        gain * sky_weight[:, None] * spread[:, :, None, None],
+        trust[:, : directions * channels].reshape(problem.measured.shape),
+        scale,
+        chi,
+        calibration,
+        scales_sigma,
+        cost,
+        steps,
+        jnp.all(jnp.isfinite(values)) & jnp.isfinite(cost),
+        result,
+    )
+
+
+def _model_errors(problem: Problem, known: Known) -> Float[Array, "time sample shape"]:
+    """Smooth errors of the model's radiance, in its unit; the direct beam has none."""
+
+    def at(item):
+        one, radiance = item
+        half = haversine(one.view_zenith, one.sun_zenith, one.view_azimuth - one.sun_azimuth)
+        airmass = 1.0 / jnp.maximum(jnp.cos(one.view_zenith), 0.05)
+        place = one.wavelength_nm
+        if one.response is not None:
+            size = jnp.abs(one.response)
+            place = size @ place / jnp.sum(size, axis=1)
+        shapes = error_shapes(airmass, 1.0 - 2.0 * half, place)
+        errors = (shapes * radiance[None]).reshape(shapes.shape[0], -1).T
+        if one.direct is None:
+            return errors
+        return jnp.concatenate([errors, jnp.zeros((one.direct.shape[0], errors.shape[1]), errors.dtype)])
+
+    return jax.vmap(at)((problem, known.radiance))

@@ -1,0 +1,250 @@
+"""A measured sky as arrays that a fit takes, and what a model says of each sample."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..atmosphere import pressure_at_altitude, SEA_LEVEL_PRESSURE
+from ..light import earth_sun_factor, extraterrestrial_irradiance
+from ..scene import as_float, Directions, Scene, Sky
+from ..transport import AbstractSolver
+from ..transport.single import transmitted_sun
+from ..transport.solver import optics
+from .line_shape import estimate_fwhm
+from .measurement import Measurement, Response
+from .parameters import SkyModel
+
+
+# nm; absorption by oxygen and water that the model leaves out (Bird & Riordan 1986, table 1)
+GAS_BANDS_NM = ((684.0, 700.0), (714.0, 742.0), (756.0, 774.0), (785.0, 850.0), (890.0, 1000.0))
+SPECTRUM_NM = (300.0, 1100.0)
+_MOST_WAVELENGTHS = 40
+# of a direct beam whose sigma is not given
+_DIRECT_NOISE = 0.02
+
+
+class Problem(eqx.Module):
+    """Samples of some times in a given order of directions; what is masked has weight 0.
+
+    Angles in radians, `irradiance` at the top of the air in W m^-2 nm^-1, `weight` one over sigma. `response` None:
+    samples are the radiance at the wavelengths themselves. `direct` irradiance on a plane normal to the sun, or None.
+    """
+
+    sun_zenith: Float[Array, " time"]
+    sun_azimuth: Float[Array, " time"]
+    view_zenith: Float[Array, "time direction"]
+    view_azimuth: Float[Array, "time direction"]
+    irradiance: Float[Array, "time wavelength"]
+    wavelength_nm: Float[Array, "time wavelength"]
+    measured: Float[Array, "time direction channel"]
+    weight: Float[Array, "time direction channel"]
+    response: Float[Array, "time channel wavelength"] | None = None
+    direct: Float[Array, "time channel"] | None = None
+    direct_weight: Float[Array, "time channel"] | None = None
+    field_of_view: float = eqx.field(static=True, default=0.0)
+
+    def at(self, times) -> "Problem":
+        """The problem of some times only."""
+        return jax.tree.map(lambda v: v[times], self)
+
+    def scene(self, model: SkyModel) -> Scene:
+        """The scene of a problem of one time (its time axis taken off), pointing offsets of the instrument included."""
+        zenith, azimuth = self.view_zenith, self.view_azimuth
+        if self.field_of_view > 0.0:
+            zenith, azimuth = _cone(zenith, azimuth, 0.5 * self.field_of_view)
+        view = Directions(zenith, azimuth)
+        return model.instrument.sees(
+            Scene(self.sun_zenith, self.sun_azimuth, view, self.wavelength_nm, self.irradiance)
+        )
+
+
+def observe(
+    solver: AbstractSolver, model: SkyModel, one: Problem
+) -> tuple[Float[Array, "direction channel"], Float[Array, " channel"] | None]:
+    """What the instrument would read of a model at one time: the sky, and the direct beam where it is measured."""
+    scene = one.scene(model)
+    radiance = solver.radiance(model.atmosphere, scene)
+    if one.field_of_view > 0.0:
+        rays = radiance.reshape(len(_CONE), -1, radiance.shape[1])
+        radiance = jnp.einsum("r,rdw->dw", as_float([weight for *_, weight in _CONE]), rays)
+    if one.response is not None:
+        radiance = radiance @ one.response.T
+    if one.direct is None:
+        return radiance, None
+    constituents = model.atmosphere.constituents
+    extinction = optics(constituents, scene.wavelength_nm).extinction
+    return radiance, scene.solar_irradiance * transmitted_sun(constituents, scene, extinction, solver.geometry)
+
+
+# rays of a cone: distance from its axis over its half angle, turn about it, weight. Exact for polynomials of degree
+# 5 over a disc (Abramowitz & Stegun 1964, 25.4.61, n = 7)
+_CONE = ((0.0, 0.0, 0.25), *((np.sqrt(2.0 / 3.0), np.pi * k / 3.0, 0.125) for k in range(6)))
+
+
+def _cone(zenith, azimuth, half_angle: float):
+    """The rays of a cone about each direction, one ray of all directions after the other; none below the horizon."""
+    zeniths, azimuths = [], []
+    for distance, turn, _ in _CONE:
+        tilt = half_angle * distance
+        cosine = jnp.cos(zenith) * np.cos(tilt) + jnp.sin(zenith) * np.sin(tilt) * np.cos(turn)
+        across = np.sin(tilt) * np.sin(turn)
+        along = jnp.sin(zenith) * np.cos(tilt) - jnp.cos(zenith) * np.sin(tilt) * np.cos(turn)
+        # at the zenith every azimuth is as good
+        at_axis = (along**2 + across**2) < 1e-12
+        zeniths.append(jnp.arctan2(jnp.sqrt(jnp.where(at_axis, 1e-12, along**2 + across**2)), jnp.maximum(cosine, 0.0)))
+        azimuths.append(azimuth + jnp.where(at_axis, 0.0, jnp.arctan2(across, jnp.where(at_axis, 1.0, along))))
+    return jnp.concatenate(zeniths), jnp.concatenate(azimuths)
+
+
+class Sampling:
+    """Which samples of a sky are fitted, and the scenes of any of its wavelengths, on the host."""
+
+    def __init__(self, sky: Sky, fwhm_nm: float | None, response: Response | None = None, field_of_view: float = 0.0):
+        self.sky, self.response, self.field_of_view = sky, response, field_of_view
+        self.notes = list(sky.notes)
+        if response is not None and response.weight.shape[0] != len(sky.wavelength_nm):
+            raise ValueError(
+                f"`response` must have a channel for each of the sky's {len(sky.wavelength_nm)} wavelengths, "
+                f"got {response.weight.shape[0]}"
+            )
+        self.fwhm_nm = _line_shape(sky, response, self.notes) if fwhm_nm is None else float(fwhm_nm)
+        spectrum = sky.wavelength_nm if response is None else response.wavelength_nm
+        inside = (spectrum >= SPECTRUM_NM[0]) & (spectrum <= SPECTRUM_NM[1])
+        self.inside = np.flatnonzero(inside)
+        width = self.fwhm_nm if np.isfinite(self.fwhm_nm) and self.fwhm_nm > 0.0 else None
+        self.spectrum = spectrum
+        self.irradiance = np.full(spectrum.shape, np.nan)
+        self.irradiance[inside] = np.asarray(extraterrestrial_irradiance(spectrum[inside], width))
+        self.used = self._usable()
+
+    def _usable(self) -> np.ndarray:
+        """The sky's mask without what the model cannot explain, counted in the notes."""
+        sky = self.sky
+        if self.response is not None:
+            return sky.usable
+        wavelength = sky.wavelength_nm
+        outside = (wavelength < SPECTRUM_NM[0]) | (wavelength > SPECTRUM_NM[1])
+        bands = np.zeros_like(outside)
+        for low, high in GAS_BANDS_NM:
+            bands |= (wavelength >= low) & (wavelength <= high)
+        for where, reason in ((outside, "beyond 300-1100 nm"), (bands & ~outside, "in gas bands")):
+            count = int(sky.usable[..., where].sum())
+            if count:
+                self.notes.append(f"{count} samples {reason} left out")
+        return sky.usable & ~(outside | bands)
+
+    def chosen(self) -> np.ndarray:
+        """Indices of the sky's wavelengths that are fitted: all that hold samples, or an even choice of many."""
+        candidates = np.flatnonzero(self.used.any(axis=(0, 1)))
+        if candidates.size <= _MOST_WAVELENGTHS:
+            return candidates
+        return candidates[np.linspace(0, candidates.size - 1, _MOST_WAVELENGTHS).round().astype(int)]
+
+    def problem(self, chosen: np.ndarray, measurement: Measurement) -> tuple[Problem, np.ndarray]:
+        """The samples at the chosen wavelengths, and the directions that each time has any of, `[time, direction]`.
+
+        Directions that a time does not use are left out of it; the shorter lists are filled up with their first.
+        """
+        sky, used = self.sky, self.used
+        sigma = measurement.sigma(sky, used)
+        held = used[:, :, chosen].any(axis=2)
+        most = max(1, int(held.sum(axis=1).max()))
+        places = np.stack([np.resize(np.flatnonzero(h) if h.any() else [0], most) for h in held])
+        first = np.arange(most)[None] < np.maximum(held.sum(axis=1), 0)[:, None]
+        rows = np.arange(len(sky.time))[:, None]
+        mask = used[rows, places][..., chosen] & first[..., None]
+        measured = np.where(mask, sky.radiance[rows, places][..., chosen], 0.0)
+        weight = np.where(mask, 1.0 / sigma[rows, places][..., chosen], 0.0)
+        direct = self._direct(chosen)
+        arrays = self._arrays(slice(None), chosen if self.response is None else self.inside)
+        problem = Problem(
+            **arrays,
+            view_zenith=as_float(sky.view_zenith[places]),
+            view_azimuth=as_float(sky.view_azimuth[places]),
+            measured=as_float(measured),
+            weight=as_float(weight),
+            direct=None if direct is None else as_float(direct[0]),
+            direct_weight=None if direct is None else as_float(direct[1]),
+            field_of_view=self.field_of_view,
+        )
+        return problem, places
+
+    def _direct(self, chosen):
+        """The direct beam at the chosen wavelengths and one over its sigma, None where there is none."""
+        sky = self.sky
+        if sky.direct_irradiance is None or self.response is not None:
+            return None
+        values = sky.direct_irradiance[:, chosen]
+        sigma = _DIRECT_NOISE * np.abs(values) if sky.direct_sigma is None else sky.direct_sigma[:, chosen]
+        good = np.isfinite(values) & (values > 0.0) & np.isfinite(sigma) & (sigma > 0.0)
+        if not good.any():
+            return None
+        return np.where(good, values, 0.0), np.where(good, 1.0 / np.where(good, sigma, 1.0), 0.0)
+
+    def _arrays(self, times, wavelengths) -> dict:
+        sky = self.sky
+        count = len(sky.time[times])
+        stamps = sky.time[times]
+        factor = np.array([1.0 if np.isnat(t) else earth_sun_factor(day_of_year(t)) for t in stamps])
+        weight = None if self.response is None else self.response.weight[:, wavelengths]
+        return {
+            "sun_zenith": as_float(sky.sun_zenith[times]),
+            "sun_azimuth": as_float(sky.sun_azimuth[times]),
+            "irradiance": as_float(factor[:, None] * self.irradiance[wavelengths][None]),
+            "wavelength_nm": as_float(np.broadcast_to(self.spectrum[wavelengths], (count, len(wavelengths)))),
+            "response": None if weight is None else as_float(np.broadcast_to(weight, (count, *weight.shape))),
+        }
+
+    def readings(self, solver: AbstractSolver, model: SkyModel, time: int) -> np.ndarray:
+        """The model at every direction and wavelength or channel, `[direction, wavelength]`; NaN where there is none."""
+        sky = self.sky
+        nothing = np.zeros((1, len(sky.view_zenith), 1))
+        problem = Problem(
+            **self._arrays(slice(time, time + 1), self.inside),
+            view_zenith=as_float(sky.view_zenith[None]),
+            view_azimuth=as_float(sky.view_azimuth[None]),
+            measured=as_float(nothing),
+            weight=as_float(nothing),
+            field_of_view=self.field_of_view,
+        )
+        result = np.full(sky.radiance.shape[1:], np.nan)
+        read = np.asarray(_read(solver, model, problem.at(0)))
+        if self.response is None:
+            result[:, self.inside] = read
+        else:
+            result[:] = read
+        return result
+
+
+@eqx.filter_jit
+def _read(solver, model, one: Problem):
+    return observe(solver, model, one)[0]
+
+
+def day_of_year(time: np.datetime64) -> int:
+    """The day of the year, 1 for 1 January."""
+    return int((time.astype("datetime64[D]") - time.astype("datetime64[Y]")).astype(int)) + 1
+
+
+def station_pressure(sky: Sky) -> tuple[float, str]:
+    """The pressure at the station, Pa, by the file or by its altitude, and a note where it is assumed."""
+    if np.isfinite(sky.pressure_pa):
+        return sky.pressure_pa, ""
+    if np.isfinite(sky.altitude_m):
+        return float(pressure_at_altitude(sky.altitude_m)), ""
+    return SEA_LEVEL_PRESSURE, "no pressure or altitude in the file: Rayleigh depth of sea level"
+
+
+def _line_shape(sky: Sky, response: Response | None, notes: list) -> float:
+    if response is not None:
+        return float("nan")
+    if np.isfinite(sky.fwhm_nm):
+        return sky.fwhm_nm
+    width = estimate_fwhm(sky)
+    if np.isfinite(width):
+        notes.append(f"line shape estimated from the solar lines: {width:g} nm FWHM")
+    else:
+        notes.append("no line shape in the file and too few wavelengths to estimate it: none applied")
+    return width
