@@ -7,7 +7,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jax.core import Tracer
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from ..atmosphere import Atmosphere
 from ..scene import as_float, Scene
@@ -22,6 +23,8 @@ _RELATIVE_NOISE = 0.02
 _WEAK = 1e-6
 # of a parameter's range; more than the rounding of float32
 _HAIR = 1e-6
+# sigma of each parameter
+Prior = Float[ArrayLike, " parameter"] | Sequence[float] | None
 
 
 def sensitivity(
@@ -51,8 +54,8 @@ def fisher_information(
     scene: Scene,
     atmosphere: Atmosphere | SkyModel,
     free: Sequence[str],
-    relative: float | Float[Array, ""] = _RELATIVE_NOISE,
-    floor: float | Float[Array, "..."] = 0.0,
+    relative: float | Float[ArrayLike, ""] = _RELATIVE_NOISE,
+    floor: float | Float[ArrayLike, "..."] = 0.0,
     solver: AbstractSolver | None = None,
 ) -> Float[Array, "direction parameter parameter"]:
     r"""What a measurement of each direction, with all its wavelengths, tells of the free parameters.
@@ -73,7 +76,7 @@ def fisher_information(
     """
     model = _model(atmosphere)
     names = _names(free, "free", model)
-    noise = [value for value in (relative, floor) if not isinstance(value, jax.core.Tracer)]
+    noise = [value for value in (relative, floor) if not isinstance(value, Tracer)]
     if not all(np.all(np.asarray(value) >= 0.0) for value in noise):
         raise ValueError(f"`relative` and `floor` must be >= 0, got {relative} and {floor}")
     if len(noise) == 2 and not any(np.any(np.asarray(value) > 0.0) for value in noise):
@@ -82,7 +85,7 @@ def fisher_information(
 
 
 def posterior_covariance(
-    information: Float[Array, "parameter parameter"], prior: Float[Array, " parameter"] | Sequence[float] | None = None
+    information: Float[ArrayLike, "parameter parameter"], prior: Prior = None
 ) -> Float[Array, "parameter parameter"]:
     r"""The covariance that measurements of this information leave, $(F + \mathrm{diag}(1/s^2))^{-1}$.
 
@@ -94,7 +97,7 @@ def posterior_covariance(
     **Errors:** `ValueError` for a prior that is not positive or of another length.
     **Source:** Rodgers 2000, Inverse Methods for Atmospheric Sounding, eq. 2.27.
     """
-    return _inverse(as_float(information), as_float(_precision(prior, information.shape[-1])))
+    return _inverse(as_float(information), as_float(_precision(prior, np.shape(information)[-1])))
 
 
 class Choice(NamedTuple):
@@ -109,12 +112,12 @@ class Choice(NamedTuple):
 
 
 def next_directions(
-    information: Float[Array | np.ndarray, "direction parameter parameter"],
+    information: Float[ArrayLike, "direction parameter parameter"],
     free: Sequence[str],
     count: int = 1,
     interest: str | Sequence[str] | None = None,
-    measured: Sequence[int] = (),
-    prior: Float[Array, " parameter"] | Sequence[float] | None = None,
+    measured: Int[ArrayLike, " choice"] | Sequence[int] = (),
+    prior: Prior = None,
 ) -> Choice:
     r"""The directions to measure next: one by one, each the one that lessens the uncertainty most.
 
@@ -140,7 +143,7 @@ def next_directions(
     left = np.ones(len(whole), bool)
     past = np.asarray(measured, int).reshape(-1)
     if not np.all((past >= 0) & (past < len(whole))):
-        raise ValueError(f"`measured` must hold indices of the {len(whole)} directions, got {list(measured)}")
+        raise ValueError(f"`measured` must hold indices of the {len(whole)} directions, got {past.tolist()}")
     left[past] = False
     if not 1 <= count <= left.sum():
         raise ValueError(f"`count` must be from 1 to the {left.sum()} directions that are left, got {count}")
@@ -195,7 +198,7 @@ def _precision(prior, count: int):
         return np.zeros(count)
     if np.shape(prior) != (count,):
         raise ValueError(f"`prior` must hold one sigma for each of {count} parameters, got shape {np.shape(prior)}")
-    if isinstance(prior, jax.core.Tracer):
+    if isinstance(prior, Tracer):
         return 1.0 / prior**2
     sigma = np.asarray(prior, np.float64)
     if not np.all(sigma > 0.0):
