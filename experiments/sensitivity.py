@@ -3,8 +3,8 @@
     python experiments/sensitivity.py [--out FILE.json]
 
 Turbidity 3, sun at 50 degrees; all orders of scattering, 440-870 nm, noise of 2 %, eight free parameters with weak
-priors. The greedy choice is free among 343 directions of the dome and those of its rivals: an almucantar,
-the principal plane, and the median of seeded random choices among the 343. A figure beside the json.
+priors. The greedy choice is free among 343 directions of the dome and those of its rivals: an almucantar, the
+principal plane, and the median of seeded random choices among the 343. A figure beside the json.
 """
 
 import argparse
@@ -142,7 +142,9 @@ def main():
         "turbidity": TURBIDITY, "sun zenith": SUN_DEG, "sun azimuth": SUN_AZIMUTH_DEG,
         "wavelengths nm": WAVELENGTH_NM.tolist(), "relative noise": NOISE, "prior sigma": PRIOR,
         "candidates": len(information), "target": target,
-        "greedy directions, zenith and azimuth in degrees": degrees[choice.order].round(1).tolist(),
+        "greedy directions, zenith and azimuth in degrees": [
+            f"{zenith:.1f} {azimuth:.1f}" for zenith, azimuth in degrees[choice.order]
+        ],
         "greedy, ms for all steps": round(1e3 * seconds, 1),
         "sigma after 1, 2, ... directions": {name: _rounded(values) for name, values in curves.items()},
         "random, 10th and 90th percentile": [_rounded(row) for row in np.percentile(random, (10.0, 90.0), axis=0)],
