@@ -32,12 +32,16 @@ from .files import (
     write_sky as write_sky,
 )
 from .fit import (
+    fisher_information as fisher_information,
     Fit as Fit,
     fit_perez as fit_perez,
     invert as invert,
+    next_directions as next_directions,
     PARAMETERS as PARAMETERS,
+    posterior_covariance as posterior_covariance,
     predict as predict,
     refit as refit,
+    sensitivity as sensitivity,
 )
 from .light import daylight as daylight, srgb as srgb, srgb_from_linear as srgb_from_linear, xyY as xyY, xyz as xyz
 from .scene import (

@@ -25,3 +25,10 @@ from .refit import (
     refit as refit,
 )
 from .result import Fit as Fit, Fitted as Fitted, time_names as time_names
+from .sensitivity import (
+    Choice as Choice,
+    fisher_information as fisher_information,
+    next_directions as next_directions,
+    posterior_covariance as posterior_covariance,
+    sensitivity as sensitivity,
+)
