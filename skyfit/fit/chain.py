@@ -7,6 +7,7 @@ so that the whole grows linearly with their number, and squares no condition num
 ch. 5 and 10; multi-pixel retrievals: Dubovik et al. 2011, Atmos. Meas. Tech. 4, 975, sec. 4.3.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -14,7 +15,10 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from .solve import LevenbergMarquardt
+
+# of a column's length: no damping to speak of, but every unknown has a row
+_SLIGHT = 1e-5
+_MOST_REJECTED = 15
 
 
 class Point(NamedTuple):
@@ -229,10 +233,13 @@ class _ChainState(NamedTuple):
 class ChainDescent(optx.AbstractDescent):
     r"""Marquardt's step $(J^T J + \lambda\, \mathrm{diag}(J^T J))\, \delta = -J^T r$ within a box, for a chain.
 
-    As `MarquardtDescent`: unknowns at the edge of the box that would leave it are held while the others move.
+    As `MarquardtDescent`: unknowns at the edge of the box that would leave it are held while the others move. The last
+    `linear` shared unknowns, in which the residuals are linear and which have priors, are not damped: the step is to
+    their best values, and no narrow valley along them slows the others down.
     """
 
     limit: Point
+    linear: int = 0
     first_damping: float = 0.01
 
     def init(self, y, f_info_struct):
@@ -253,13 +260,17 @@ class ChainDescent(optx.AbstractDescent):
         return _ChainState(y, blocks_of(f_info.jac, f_info.residual, y))
 
     def step(self, step_size, state):
-        damping = jnp.sqrt(self.first_damping / step_size)
+        return self.to_best(state, jnp.sqrt(self.first_damping / step_size)), optx.RESULTS.successful
+
+    def to_best(self, state: _ChainState, damping) -> Point:
+        """The step to the minimum of the linear problem in the box, damped by this share of each column's length."""
         slope = gradient(state.blocks)
 
         def moved(held: Point) -> Point:
             kept = without(state.blocks, held)
             # an unknown without any influence stays where it is
             size = jax.tree.map(lambda v: jnp.where(v > 0.0, damping * v, 1.0), column_norms(kept))
+            size = size._replace(shared=size.shared * (jnp.arange(size.shared.size) < size.shared.size - self.linear))
             own, shared = solve_chain(damped(kept, size))
             return Point(own[..., 0], shared[:, 0])
 
@@ -271,17 +282,42 @@ class ChainDescent(optx.AbstractDescent):
             lambda out, s, d: jnp.maximum(out, ((s != 0.0) & (jnp.sign(d) == s)).astype(d.dtype)), outward, side, again
         )
         change = moved(held)
-        ends = jax.tree.map(lambda p, d, limit: jnp.clip(p + d, -limit, limit) - p, state.point, change, self.limit)
-        return ends, optx.RESULTS.successful
+        return jax.tree.map(lambda p, d, limit: jnp.clip(p + d, -limit, limit) - p, state.point, change, self.limit)
 
 
-def minimise(rows, point: Point, arguments, limit: Point, max_steps: int, tolerance: float = 1e-3):
+class ChainMarquardt(optx.AbstractGaussNewton):
+    """Optimistix' Gauss-Newton loop that ends where the whole step to the minimum changes the residuals by less than
+    `tolerance`: residuals are in standard deviations, so that no parameter is further from its best than this share of
+    its sigma."""
+
+    descent: ChainDescent
+    tolerance: float = 0.02
+    rtol: float = 0.0
+    atol: float = 0.0
+    norm: Callable = optx.max_norm
+    search: optx.AbstractSearch = optx.ClassicalTrustRegion(high_cutoff=0.75, low_cutoff=0.01)
+    verbose: Callable = lambda **_: None
+
+    def terminate(self, fn, y, args, options, state, tags):
+        linear = state.descent_state.blocks
+        whole = self.descent.to_best(state.descent_state, _SLIGHT)
+        data = jnp.einsum("trp,tp->tr", linear.own, whole.own) + jnp.einsum("trs,s->tr", linear.common, whole.shared)
+        step = linear.here * whole.own[:-1] + linear.after * whole.own[1:]
+        change = jnp.sum(data**2) + jnp.sum((linear.prior @ whole.shared) ** 2) + jnp.sum(step**2)
+        done = (state.num_accepted_steps > 0) & (change < self.tolerance**2)
+        # a search that only shrinks is where rounding lets no step succeed
+        stuck = (state.num_accepted_steps > 0) & (state.num_steps_since_acceptance > _MOST_REJECTED)
+        return done | stuck, state.result
+
+
+def minimise(rows, point: Point, arguments, limit: Point, linear: int, max_steps: int):
     """The least sum of squares within |unknown| <= `limit` by Levenberg-Marquardt on optimistix' loop.
 
-    **Arguments:** `rows(point, arguments)` gives `Rows`, linear about `point`, and what is known besides.
+    **Arguments:** `rows(point, arguments)` gives `Rows`, linear about `point`, and what is known besides; `linear` as in
+    `ChainDescent`.
     **Returns:** the point, what `rows` knew at it, the number of steps and optimistix' result; nothing is raised.
     """
-    solver = LevenbergMarquardt(rtol=tolerance, atol=tolerance, descent=ChainDescent(limit))
+    solver = ChainMarquardt(ChainDescent(limit, linear))
     solution = optx.least_squares(rows, solver, point, arguments, has_aux=True, max_steps=max_steps, throw=False)
     return solution.value, solution.state.aux, solution.stats["num_steps"], solution.result
 

@@ -245,7 +245,7 @@ def estimate(
 
     def run(solver, point, scale):
         rows = _objective(setup, solver)
-        end, known, steps, result = minimise(rows, point, (fixed, problem, priors, scale), limit, setup.max_steps)
+        end, known, steps, result = minimise(rows, point, (fixed, problem, priors, scale), limit, none, setup.max_steps)
         return end, known, steps, result
 
     def first(start):

@@ -65,7 +65,7 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
 
     rtol: float
     atol: float
-    descent: optx.AbstractDescent
+    descent: MarquardtDescent
     norm: Callable = optx.max_norm
     search: optx.ClassicalTrustRegion = optx.ClassicalTrustRegion(high_cutoff=0.75, low_cutoff=0.01)
     verbose: Callable = lambda **_: None
