@@ -13,8 +13,10 @@ _FEWEST = 6
 _UNLIKELY, _CONVINCING = 0.5, 0.85
 # the zenith angles are doubted where turning them over leaves this share of what is unexplained
 _TURNED, _SHARE_LEFT = 0.93, 0.35
-# degrees
-_FAR = 20.0
+# degrees: a sun this far off is told; scans of fewer zenith angles do not show which way they were counted
+_FAR, _WIDE = 20.0, 30.0
+# variance across a vertical plane by that along it
+_PLANE = 0.02
 _STEP = 10
 # CIE S 011, type 12 (clear, low turbidity)
 _GRADATION, _LOBE, _LOBE_FALL, _SQUARE = -0.32, 10.0, -3.0, 0.45
@@ -29,7 +31,7 @@ def misplaced_sun(sky: Sky, used: Bool[np.ndarray, "time direction wavelength"],
 
     **Arguments:** `sky`; `used`, the samples that count; `time`, its index.
     **Returns:** a sentence that names the angle between the stated sun and the apparent one and the likely cause.
-    **Valid:** six directions or more that differ in azimuth from the sun's; fewer say nothing.
+    **Valid:** six directions or more, of the azimuth not in one vertical plane; others say nothing.
     """
     seen = _brightness(sky, used, time)
     if seen is None:
@@ -40,6 +42,8 @@ def misplaced_sun(sky: Sky, used: Bool[np.ndarray, "time direction wavelength"],
     stated = _correlation(rest(_lobe(zenith, azimuth, *sun)), rest(bright))
     if stated >= _UNLIKELY:
         return _turned_zenith(bright, zenith, azimuth, *sun, stated)
+    if _in_one_plane(zenith, azimuth):
+        return ""
     grid = np.radians(np.arange(0.5 * _STEP, 90.0, _STEP)), np.radians(np.arange(0.0, 360.0, _STEP))
     suns = np.stack([axis.ravel() for axis in np.meshgrid(*grid, indexing="ij")])
     scores = _correlation(rest(_lobe(zenith[None], azimuth[None], *suns[:, :, None])), rest(bright))
@@ -63,6 +67,8 @@ def misplaced_sun(sky: Sky, used: Bool[np.ndarray, "time direction wavelength"],
 
 
 def _turned_zenith(bright, zenith, azimuth, sun_zenith, sun_azimuth, stated) -> str:
+    if np.ptp(zenith) < np.radians(_WIDE):
+        return ""
     turned, sun_turned = 0.5 * np.pi - zenith, 0.5 * np.pi - sun_zenith
     causes = {
         "view angles": (turned, azimuth, sun_zenith, sun_azimuth),
@@ -79,6 +85,13 @@ def _turned_zenith(bright, zenith, azimuth, sun_zenith, sun_azimuth, stated) -> 
     if _correlation(rest(_lobe(*causes[cause])), rest(bright)) < stated:
         return ""
     return f"this sky looks more like one whose {cause} are elevations, given in place of zenith angles"
+
+
+def _in_one_plane(zenith, azimuth) -> bool:
+    """Whether all views lie in one vertical plane, which holds no azimuth of the sun."""
+    across = np.cov(np.stack([np.sin(zenith) * np.sin(azimuth), np.sin(zenith) * np.cos(azimuth)]))
+    small, large = np.linalg.eigvalsh(across)
+    return bool(small <= _PLANE * large)
 
 
 def _brightness(sky: Sky, used, time: int):

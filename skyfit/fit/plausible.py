@@ -42,7 +42,8 @@ def examine(sky: Sky, used: Bool[np.ndarray, "time direction wavelength"]) -> tu
     used = used & inside
     found = [*_station(sky), *_repeated(sky, used)]
     for time in range(len(sky.time)):
-        if used[time].any():
+        # the sun below the horizon is for the fit to refuse
+        if used[time].any() and sky.sun_zenith[time] < 0.5 * np.pi:
             said = [*_light(sky, used, time), *_pattern(sky, used, time), *_extent(sky, used, time)]
             found += [_where(sky, time) + sentence for sentence in said]
     return tuple(dict.fromkeys(found))
@@ -189,7 +190,8 @@ def _pattern(sky: Sky, used, time: int):
         mean = light.sum(axis=0) / counts[full]
         spread = np.sqrt((np.where(at[:, full], light - mean[None], 0.0) ** 2).sum(axis=0) / counts[full]) / mean
         if np.median(spread) < _FLAT:
-            yield f"all directions are alike within {100.0 * np.median(spread):.1g} %: no clear sky, but a cloud or a lamp"
+            alike = f"{100.0 * np.median(spread):.1g} %"
+            yield f"all directions are alike within {alike}: no clear sky, but a cloud, a lamp or a constant?"
             return
     sentence = misplaced_sun(sky, used, time)
     if sentence:
