@@ -31,11 +31,12 @@ def sun_agreement(
     """
 
     def computed(hours=0, north=latitude, east=longitude):
-        return np.rad2deg(solar_position(time + np.timedelta64(hours, "h"), north, east))
+        angles = solar_position(time + np.timedelta64(hours, "h"), north, east)
+        return np.rad2deg(angles[0]), np.rad2deg(angles[1])
 
     true_zenith, true_azimuth = computed()
     off = np.abs(zenith - true_zenith)
-    apart = off if turned else _apart(zenith, azimuth, true_zenith, true_azimuth)
+    apart = off if turned else _apart((zenith, azimuth), (true_zenith, true_azimuth))
     if np.max(off) <= _ZENITH_SLACK and (turned or np.max(apart) <= _AZIMUTH_SLACK):
         return ""
     causes = {
@@ -51,7 +52,7 @@ def sun_agreement(
     explained |= {f"times of UTC{hours:+d} h": ((zenith, azimuth), computed(-hours)) for hours in _CLOCKS}
     cause = "times that are not UTC, another place, or angles of another kind"
     for name, (stated, expected) in explained.items():
-        if not turned and np.max(_apart(*stated, *expected)) < _NEAR:
+        if not turned and np.max(_apart(stated, expected)) < _NEAR:
             cause = name
             break
     worst = int(np.argmax(apart))
@@ -61,8 +62,8 @@ def sun_agreement(
     )
 
 
-def _apart(zenith, azimuth, other_zenith, other_azimuth):
-    """The angle between directions, degrees."""
-    z, a, other, b = (np.deg2rad(angle) for angle in (zenith, azimuth, other_zenith, other_azimuth))
-    cosine = np.cos(z) * np.cos(other) + np.sin(z) * np.sin(other) * np.cos(a - b)
+def _apart(one, other):
+    """The angle between two directions, each zenith and azimuth in degrees; degrees."""
+    (z, a), (w, b) = np.deg2rad(one), np.deg2rad(other)
+    cosine = np.cos(z) * np.cos(w) + np.sin(z) * np.sin(w) * np.cos(a - b)
     return np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -46,8 +46,8 @@ def misplaced_sun(sky: Sky, used: Bool[np.ndarray, "time direction wavelength"],
         return ""
     grid = np.radians(np.arange(0.5 * _STEP, 90.0, _STEP)), np.radians(np.arange(0.0, 360.0, _STEP))
     suns = np.stack([axis.ravel() for axis in np.meshgrid(*grid, indexing="ij")])
-    scores = _correlation(rest(_lobe(zenith[None], azimuth[None], *suns[:, :, None])), rest(bright))
-    best = suns[:, np.argmax(scores)]
+    scores = _correlation(rest(_lobe(zenith[None], azimuth[None], suns[0][:, None], suns[1][:, None])), rest(bright))
+    best = float(suns[0][np.argmax(scores)]), float(suns[1][np.argmax(scores)])
     apart = np.degrees(np.arccos(np.clip(cosine_from_sun(*best, *sun), -1.0, 1.0)))
     causes = {
         "azimuths counted counter-clockwise": _lobe(zenith, -azimuth, *sun),
