@@ -214,12 +214,16 @@ SKIES = {
     "pressure in hPa": error(with_fields(lambda _: {"pressure_pa": 1000.0}), "`pressure_pa`", "Pa"),
     "pressure of the sea": flag(with_fields(lambda _: {"altitude_m": 2000.0, "pressure_pa": 101300.0}), "sea level"),
     "altitude in km": flag(with_fields(lambda _: {"altitude_m": 0.12}), "km?"),
+    "altitude in cm": error(with_fields(lambda _: {"altitude_m": 32500.0}), "`altitude_m`", "m"),
     "line shape in m": error(with_fields(lambda _: {"fwhm_nm": 6e-9}), "`fwhm_nm`", "nm"),
     "latitude in arc minutes": error(with_fields(lambda _: {"latitude_deg": 2880.0}), "`latitude_deg`"),
     "sun down at one time": error(
         with_fields(lambda s: {"sun_zenith": s.sun_zenith + np.array([0.0, 0.6])}, 2), "sun", "horizon", "time 1"
     ),
     "a time twice": flag(with_fields(lambda s: {"time": s.time[[0, 0]]}, 2), "more than once"),
+    "a shutter closed at one time": flag(
+        with_fields(lambda s: {"radiance": s.radiance * [[[1.0]], [[0.0]]]}, 2), "night"
+    ),
     "times unsorted": right(
         with_fields(lambda s: {n: getattr(s, n)[::-1] for n in TIMED}, 2)
     ),

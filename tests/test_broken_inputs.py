@@ -20,14 +20,15 @@ from broken_skies import FILES, FREE, SKIES, SOLVER, TRUTH
 
 import skyfit
 from skyfit.fit import Fit, invert
-from skyfit.fit.plausible import doubts, examine, poor_fit
+from skyfit.fit.oddities import examine
+from skyfit.fit.plausible import doubts, poor_fit
 
 
 CASES = SKIES | FILES
 
 
 def judged(sky, free, solver=SOLVER, start=None, fwhm_nm=None, max_steps=100, progress=None) -> Fit:
-    """`invert` with the sentences of `skyfit.fit.plausible` around it."""
+    """`invert` with the sentences of `skyfit.fit.oddities` and `skyfit.fit.plausible` around it."""
     notes = examine(sky, sky.usable)
     fit = invert(sky, free, solver, start, fwhm_nm, max_steps, progress)
     notes += doubts(sky, fit.model, fit.used, fit.reduced_chi_square)

@@ -9,7 +9,8 @@ from skies import SMALL
 import skyfit
 from skyfit.files.sun_agreement import sun_agreement
 from skyfit.fit import Fitted, start_model, with_values
-from skyfit.fit.plausible import _air, doubts, examine, poor_fit
+from skyfit.fit.oddities import _air, examine
+from skyfit.fit.plausible import doubts, poor_fit
 from skyfit.light import extraterrestrial_irradiance
 
 
@@ -132,6 +133,8 @@ def test_residuals_are_judged_by_the_light_and_by_sigma():
     assert poor_fit(dark, dark.radiance, dark.usable).tolist() == [True]
     for chi_square, words in ((0.3, []), (8.9, []), (9.1, ["3.02 times"]), (1e6, ["1e+03 times"])):
         said = doubts(even, even.radiance, even.usable, np.array([chi_square]))
+        stated = doubts(replace(even, sigma=0.01 * even.radiance), even.radiance, even.usable, np.array([chi_square]))
+        assert len(stated) == (chi_square > 4.0)
         assert len(said) == len(words) and all(word in sentence for word, sentence in zip(words, said, strict=True))
 
 

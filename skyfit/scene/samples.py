@@ -6,11 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 
-# what a station can be; the narrowest line shape tells nm from m
+# what a station can be: in the troposphere, whose pressure `pressure_at_altitude` knows; the narrowest line shape
+# tells nm from m
 STATION_RANGES = {
     "latitude_deg": (-90.0, 90.0, "degrees, north positive"),
     "longitude_deg": (-180.0, 360.0, "degrees, east positive"),
-    "altitude_m": (-500.0, 100e3, "m"),
+    "altitude_m": (-500.0, 11e3, "m"),
     "pressure_pa": (2e3, 120e3, "Pa"),
     "fwhm_nm": (1e-3, 1000.0, "nm"),
 }
