@@ -127,6 +127,8 @@ def commands(checkout, tmp_path_factory):
     paths = os.pathsep.join(map(str, (checkout, checkout / "tests")))
     environment = {key: value for key, value in os.environ.items() if not key.startswith("JAX_")}
     environment |= {"PYTHONPATH": paths, "COLUMNS": "120", "XDG_CACHE_HOME": str(place)}
+    # programs that run once are not worth optimising
+    environment["XLA_FLAGS"] = "--xla_backend_optimization_level=0"
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", program, str(place)],
         env=environment, capture_output=True, text=True, timeout=300,

@@ -127,7 +127,7 @@ def _odd(light: _Light):
     if light.limit == _BRIGHTEST and light.share > _BRIGHT:
         yield f"brighter than skies are: {light.share:.2g} of the sun's irradiance per sr, in the median; another unit?"
     if light.of_air < _DARK:
-        yield f"darker than air without haze: {light.of_air:.2g} of its light in the median; an eclipse, or another unit?"
+        yield f"darker than air without haze: {light.of_air:.2g} of its light in the median; eclipse, or another unit?"
     if light.beyond:
         yield f"{light.beyond} samples are brighter than any sky: the sun's disc in the field of view?"
 
