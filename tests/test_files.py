@@ -26,6 +26,9 @@ def make_sky(times=2, directions=5, wavelengths=7, seed=0, sigma=True) -> Sky:
     radiance = random.uniform(0.01, 0.4, shape)
     usable = random.uniform(size=shape) > 0.2
     radiance[0, 0, 0], usable[0, 0, 0] = np.nan, False
+    time = np.datetime64("2013-05-27T14:00", "ns") + np.arange(times) * np.timedelta64(30, "m")
+    # where it stood: a reader says so if a file's sun is elsewhere
+    sun_zenith, sun_azimuth = solar_position(time, 42.4, -76.5)
     return Sky(
         radiance=radiance,
         sigma=0.02 * np.nan_to_num(radiance, nan=1.0) if sigma else None,
@@ -33,9 +36,9 @@ def make_sky(times=2, directions=5, wavelengths=7, seed=0, sigma=True) -> Sky:
         view_zenith=np.deg2rad(np.linspace(0.0, 85.0, directions)),
         view_azimuth=np.deg2rad(np.linspace(0.0, 300.0, directions)),
         wavelength_nm=np.linspace(380.0, 780.0, wavelengths),
-        sun_zenith=np.deg2rad(np.linspace(30.0, 50.0, times)),
-        sun_azimuth=np.deg2rad(np.linspace(100.0, 250.0, times)),
-        time=np.datetime64("2013-05-27T14:00", "ns") + np.arange(times) * np.timedelta64(30, "m"),
+        sun_zenith=sun_zenith,
+        sun_azimuth=sun_azimuth,
+        time=time,
         latitude_deg=42.4,
         longitude_deg=-76.5,
         altitude_m=325.0,

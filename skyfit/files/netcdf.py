@@ -70,6 +70,7 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
             saturation=_saturation(name, data, factor),
             notes=_own_notes(data) + notes,
             angles_known=known,
+            turned=bool(note),
         )
     )
 

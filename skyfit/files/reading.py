@@ -51,6 +51,8 @@ def read(
             return read_asd(path, station, utc_offset)
         if not path.exists():
             raise ValueError(f"{path}: expected a file or a folder, found none")
+        if not path.is_file():
+            raise ValueError(f"{path}: expected a file or a folder, found a pipe or a device")
         reader = _READERS.get(path.suffix.lower())
         if reader is None:
             raise ValueError(

@@ -4,8 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..scene import Sky
+from ..scene import Sky, STATION_RANGES
 from .solar_position import solar_position
+from .sun_agreement import sun_agreement
 
 
 # Past this, a number is NetCDF's default fill value (9.97e36), not a radiance.
@@ -14,13 +15,8 @@ _FILL = 1e30
 _SATURATED_RUN = 4
 # The widest zenith angle that could be pi/2 in radians, with room for rounding.
 _RADIAN_LIMIT = 1.6
-_RANGES = {
-    "latitude": (-90.0, 90.0, "degrees, north positive"),
-    "longitude": (-180.0, 360.0, "degrees, east positive"),
-    "altitude_m": (-500.0, 100e3, "m"),
-    "pressure_pa": (2e3, 120e3, "Pa"),
-    "fwhm_nm": (0.0, 1000.0, "nm"),
-}
+# a wavelength past this is no nm: spectrometers of sky light end at 2500 nm, and 3000 angstrom is 300 nm
+_LONGEST_NM = 2600.0
 
 
 @dataclass
@@ -30,7 +26,7 @@ class Contents:
     **Arguments** arrays as in `Sky`, angles in degrees; `station` holds numbers by the names
     latitude, longitude, altitude_m, pressure_pa, fwhm_nm; `suspect` is True where masked;
     `rows`: axis -> the row where each of its values first stands, for errors; `angles_known`: the
-    file said radians, so that no small angle is suspicious.
+    file said radians, so that no small angle is suspicious; `turned`: azimuths are in the instrument's own frame.
     """
 
     name: str
@@ -47,6 +43,7 @@ class Contents:
     saturation: float | None = None
     notes: list[str] = field(default_factory=list)
     angles_known: bool = False
+    turned: bool = False
     rows: dict[str, list[int]] = field(default_factory=dict)
 
 
@@ -68,6 +65,7 @@ def assemble(found: Contents) -> Sky:
     suspect = None if found.suspect is None else found.suspect[..., order]
     radiance, usable, masked = screen(radiance, sigma, suspect, zenith, found.saturation)
     sun_zenith, sun_azimuth = _place_sun(found)
+    found.notes += _small_angles(found, zenith, azimuth, sun_zenith, sun_azimuth)
     station = found.station
     try:
         return Sky(
@@ -200,7 +198,10 @@ def _check_wavelengths(found):
             f"positive nm, found {wavelength[index]:g}"
         )
     if np.max(wavelength) < 10.0:
-        raise ValueError(f"{start} nm, found none past {np.max(wavelength):g}; are these um?")
+        unit = "m" if np.max(wavelength) < 1e-3 else "um"
+        raise ValueError(f"{start} nm, found none past {np.max(wavelength):g}; are these {unit}?")
+    if np.min(wavelength) > _LONGEST_NM:
+        raise ValueError(f"{start} nm, found none below {np.min(wavelength):g}; are these angstrom?")
     order = np.argsort(wavelength, kind="stable")
     same = np.flatnonzero(np.diff(wavelength[order]) == 0.0)
     if same.size:
@@ -209,10 +210,24 @@ def _check_wavelengths(found):
     return wavelength[order], order
 
 
+def _small_angles(found, zenith, azimuth, sun_zenith, sun_azimuth):
+    """Notes on degrees that look like radians, where a scan could also be one of a small part of the sky."""
+    turn = 2.0 * np.pi + 0.01
+    around = azimuth[zenith > 0.0]
+    if not found.angles_known and len(np.unique(around)) > 3 and np.max(around) <= turn:
+        yield f"view azimuths lie within {np.max(around):.2f} degrees of north: are these radians?"
+    if np.all((sun_zenith <= _RADIAN_LIMIT) & (sun_azimuth <= turn)):
+        yield f"the sun is within {np.max(sun_zenith):.2f} degrees of the zenith: are these radians?"
+    latitude, longitude = (found.station.get(key, np.nan) for key in ("latitude", "longitude"))
+    if 0.0 < abs(latitude) <= 0.5 * np.pi and 0.0 < abs(longitude) <= np.pi:
+        yield f"the station is at latitude {latitude:g}, longitude {longitude:g}, in degrees: are these radians?"
+
+
 def _check_station(name, station):
+    ranges = {key.removesuffix("_deg"): limits for key, limits in STATION_RANGES.items()}
     for key, value in station.items():
-        low, high, unit = _RANGES[key]
-        if not low <= value <= high or (key == "fwhm_nm" and value == 0.0):
+        low, high, unit = ranges[key]
+        if not low <= value <= high:
             raise ValueError(f"{name}: `{key}`: expected {low:g} to {high:g} {unit}, found {value:g}")
 
 
@@ -231,8 +246,8 @@ def _place_sun(found):
                 f"expected degrees in [{low:g}, {high:g}], found {values[index]:g}"
             )
     without = ~(np.isfinite(zenith) & np.isfinite(azimuth))
+    station = found.station
     if np.any(without):
-        station = found.station
         lacks = [key for key in ("latitude", "longitude") if key not in station]
         if np.any(np.isnat(found.time[without])):
             lacks.append("time")
@@ -254,4 +269,9 @@ def _place_sun(found):
             f"sun position of {int(np.sum(without))} of {len(without)} times computed (pvlib, "
             "apparent zenith with refraction)"
         )
+    stated = ~without & ~np.isnat(found.time)
+    if np.any(stated) and "latitude" in station and "longitude" in station:
+        place = float(station["latitude"]), float(station["longitude"])
+        sentence = sun_agreement(zenith[stated], azimuth[stated], found.time[stated], *place, found.turned)
+        found.notes += [sentence] if sentence else []
     return zenith, azimuth % 360.0

@@ -6,7 +6,15 @@ import numpy as np
 from jaxtyping import Float
 
 
-_STATION = ("latitude_deg", "longitude_deg", "altitude_m", "pressure_pa", "fwhm_nm")
+# what a station can be: in the troposphere, whose pressure `pressure_at_altitude` knows; the narrowest line shape
+# tells nm from m
+STATION_RANGES = {
+    "latitude_deg": (-90.0, 90.0, "degrees, north positive"),
+    "longitude_deg": (-180.0, 360.0, "degrees, east positive"),
+    "altitude_m": (-500.0, 11e3, "m"),
+    "pressure_pa": (2e3, 120e3, "Pa"),
+    "fwhm_nm": (1e-3, 1000.0, "nm"),
+}
 # An azimuth may be unwrapped by a turn or two; past seven half turns it must be in degrees.
 _LARGEST_AZIMUTH = 7.0 * np.pi
 
@@ -87,7 +95,7 @@ class Sky:
         except (TypeError, ValueError):
             raise ValueError("`time` must be an array of datetime64 (UTC)") from None
         object.__setattr__(self, "time", time)
-        for name in _STATION:
+        for name in STATION_RANGES:
             object.__setattr__(self, name, float(getattr(self, name)))
         object.__setattr__(self, "notes", tuple(self.notes))
         self._check_shapes()
@@ -135,8 +143,14 @@ class Sky:
             raise ValueError(f"`wavelength_nm` must increase, got {_extremes(wavelength)}")
         if wavelength[0] <= 0.0 or wavelength[-1] < 10.0:
             raise ValueError(f"`wavelength_nm` must be in nm, got {_extremes(wavelength)}")
+        for name, (low, high, unit) in STATION_RANGES.items():
+            value = getattr(self, name)
+            if not (np.isnan(value) or low <= value <= high):
+                raise ValueError(f"`{name}` must be {low:g} to {high:g} {unit}, or NaN, got {value:g}")
         if not np.all(np.isfinite(self.radiance[self.usable])):
             raise ValueError("`usable` must be False where `radiance` is not finite")
+        if np.any(self.usable[:, self.view_zenith > 0.5 * np.pi + 1e-6]):
+            raise ValueError("`usable` must be False where `view_zenith` is below the horizon, past pi/2 rad")
         if self.sigma is not None:
             sigma = self.sigma[self.usable]
             if not np.all((sigma > 0.0) & np.isfinite(sigma)):

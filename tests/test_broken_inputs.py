@@ -1,0 +1,156 @@
+"""A corpus of broken skies: each ends in an error of one line, in a flag, or in the right answer.
+
+A flag is what a user sees of a fit: a result other than "successful", a parameter at its bound or not determined, a
+note, samples masked. Damage that only a reader meets is in test_broken_files.py, options of the program in test_cli.py.
+"""
+
+import contextlib
+import io
+import json
+import os
+import subprocess
+import sys
+import traceback
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from broken_skies import FILES, FREE, SKIES, SOLVER, TRUTH
+
+import skyfit
+from skyfit.fit import Fit, invert
+from skyfit.fit.oddities import examine
+from skyfit.fit.plausible import doubts, poor_fit
+
+
+CASES = SKIES | FILES
+
+
+def judged(sky, free, solver=SOLVER, start=None, fwhm_nm=None, max_steps=100, progress=None) -> Fit:
+    """`invert` with the sentences of `skyfit.fit.oddities` and `skyfit.fit.plausible` around it."""
+    notes = examine(sky, sky.usable)
+    fit = invert(sky, free, solver, start, fwhm_nm, max_steps, progress)
+    notes += doubts(sky, fit.model, fit.used, fit.reduced_chi_square)
+    pairs = zip(fit.result, poor_fit(sky, fit.model, fit.used), strict=True)
+    result = tuple("poor_fit" if poor and name == "successful" else name for name, poor in pairs)
+    return replace(fit, result=result, notes=(*fit.notes, *notes))
+
+
+def flags(fit: Fit) -> list[str]:
+    """What a user is told of a fit, the numbers apart."""
+    told = [*fit.notes, *(name for name in fit.result if name != "successful")]
+    told += [sentence for at_time in fit.undetermined for sentence in at_time]
+    told += [f"{count} samples {reason}" for reason, count in fit.sky.masked.items()]
+    return told + ["at bound"] * bool(fit.at_bound.any()) + ["not determined"] * (not fit.determined.all())
+
+
+def off(fit: Fit) -> float:
+    """The largest distance from the truth, in sigma."""
+    known = [place for place, name in enumerate(fit.free) if name in TRUTH]
+    distance = np.abs(fit.values[:, known] - [TRUTH[fit.free[place]] for place in known])
+    return float(np.max(distance / fit.sigma[:, known]))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_broken_sky_is_refused_or_flagged(name, tmp_path):
+    case = CASES[name]
+    try:
+        made = case.make(tmp_path)
+        sky = made if isinstance(made, skyfit.Sky) else skyfit.read(made[0], **made[1])
+        fit = judged(sky, case.free)
+    except ValueError as refusal:
+        line = str(refusal)
+        assert case.ends == "error", line
+        assert "\n" not in line and len(line) < 500
+        assert all(part in line for part in case.parts), line
+        return
+    told = flags(fit)
+    assert case.ends != "error", (fit.values, told)
+    assert all(any(part in sentence for sentence in told) for part in case.parts), told
+    # never a confident wrong answer
+    assert told or off(fit) < 5.0, (fit.values, fit.sigma)
+    if case.ends == "right":
+        assert set(fit.result) == {"successful"} and off(fit) < 5.0
+        # nothing else is told
+        assert all(any(part in sentence for part in case.parts) for sentence in told), told
+    else:
+        assert told
+
+
+# the options of the program for what `read` takes
+OPTIONS = {
+    "latitude": "--latitude", "longitude": "--longitude", "utc_offset": "--utc-offset", "altitude": "--altitude",
+    "fwhm_nm": "--fwhm",
+}  # fmt: skip
+# all that must be refused, and of the others some, whose pictures take longest
+DRAWN = (
+    "netcdf", "csv in mW", "netcdf with holes", "netcdf saturated", "netcdf place exchanged", "netcdf a time twice",
+    "netcdf axes under each other's name", "scan with azimuths clockwise",
+)  # fmt: skip
+CALLED = {name: case for name, case in FILES.items() if case.ends == "error" or name in DRAWN}
+
+
+def run_commands(place: Path) -> None:
+    """`skyfit invert` on every file, one process for all, each in a folder of its own; prints a report."""
+    import skyfit.cli.invert as command
+    from skyfit.cli import main
+
+    command.invert = judged
+    report = {}
+    for number, (name, case) in enumerate(CALLED.items()):
+        folder = place / str(number)
+        folder.mkdir()
+        path, options = case.make(folder)
+        before = sorted(folder.rglob("*"))
+        words = [word for key, value in options.items() for word in (OPTIONS[key], str(value))]
+        settings = ["--free", ",".join(FREE), "--solver", "single", "--preset", "draft", "--geometry", "flat"]
+        sys.argv = ["skyfit", "invert", str(path), "--out", str(folder / "out"), *settings, *words]
+        out, err, code = io.StringIO(), io.StringIO(), 0
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            try:
+                main()
+            except SystemExit as end:
+                code = end.code
+            except BaseException:
+                traceback.print_exc()
+                code = 1
+        written = [str(one.relative_to(folder)) for one in sorted(folder.rglob("*")) if one not in before]
+        report[name] = [code, out.getvalue(), err.getvalue(), written]
+    print(json.dumps(report))
+
+
+@pytest.fixture(scope="module")
+def commands(checkout, tmp_path_factory):
+    place = tmp_path_factory.mktemp("commands")
+    program = "import sys, pathlib, test_broken_inputs as t; t.run_commands(pathlib.Path(sys.argv[1]))"
+    paths = os.pathsep.join(map(str, (checkout, checkout / "tests")))
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("JAX_")}
+    environment |= {"PYTHONPATH": paths, "COLUMNS": "120", "XDG_CACHE_HOME": str(place)}
+    # programs that run once are not worth optimising
+    environment["XLA_FLAGS"] = "--xla_backend_optimization_level=0"
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program, str(place)],
+        env=environment, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("name", CALLED)
+def test_a_broken_file_on_the_command_line(commands, name):
+    code, printed, complaint, written = commands[name]
+    case = CALLED[name]
+    assert "Traceback" not in complaint, complaint
+    if case.ends == "error":
+        (line,) = [line for line in complaint.splitlines() if line.strip()]
+        assert code == 2 and line.startswith("skyfit: ") and printed == "" and written == []
+        assert all(part in line for part in case.parts), line
+        return
+    assert code == 0, complaint
+    assert written == ["out", "out/fit.json", "out/fit.nc", "out/fit.png"]
+    assert all(part in " ".join(printed.split()) for part in case.parts), printed
+
+
+def test_the_corpus_is_as_large_as_was_asked():
+    assert sum(case.ends != "right" for case in CASES.values()) >= 100
