@@ -160,7 +160,9 @@ def _eliminate(blocks: Blocks) -> _Eliminated:
         whole = _triangle(jnp.concatenate([before, data, link]), 2 * own + shared)
         return whole[own:, own:], (whole[:own], carry)
 
-    last, (pivot, carried) = jax.lax.scan(step, start, (blocks.own, blocks.common, blocks.right, here, after, link_right))
+    last, (pivot, carried) = jax.lax.scan(
+        step, start, (blocks.own, blocks.common, blocks.right, here, after, link_right)
+    )
     return _Eliminated(pivot, carried, last)
 
 
@@ -320,5 +322,3 @@ def minimise(rows, point: Point, arguments, limit: Point, linear: int, max_steps
     solver = ChainMarquardt(ChainDescent(limit, linear))
     solution = optx.least_squares(rows, solver, point, arguments, has_aux=True, max_steps=max_steps, throw=False)
     return solution.value, solution.state.aux, solution.stats["num_steps"], solution.result
-
-

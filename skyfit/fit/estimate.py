@@ -2,7 +2,6 @@
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -63,7 +62,8 @@ class Estimate(NamedTuple):
     """The outcome for some times; arrays only, so that it passes through jit and vmap.
 
     `values` and covariances are in the order own, shared, in the parameters' stated units. `noise` is the covariance by
-    noise, priors included, already widened by `scale` squared; `model` that by the model's stated error. `triangle` has
+    noise, priors included, already widened by `scale` squared; `model` that by the model's stated error. `chi_square` is
+    of all samples, those that the loss trusts less too. `triangle` has
     the scaled Jacobian's singular values. `gain`: d parameter / d radiance of the same time. `cost`: half the sum of
     squares after the loss.
     """
@@ -184,9 +184,13 @@ def _objective(setup: Setup, solver: AbstractSolver):
 
         by_channel = None
         if setup.calibrated:
-            by_channel = known.radiance * (after.slope * weight)[:, : known.radiance[0].size].reshape(known.radiance.shape)
+            by_channel = known.radiance * (after.slope * weight)[:, : known.radiance[0].size].reshape(
+                known.radiance.shape
+            )
         own, common, right = jax.vmap(reduced_at)((columns, after.value, by_channel))
-        scaled, steep = jax.vmap(lambda own: _with_slope(_scaled, setup.own, own))(here.own) if count else (here.own, here.own)
+        scaled, steep = (
+            jax.vmap(lambda own: _with_slope(_scaled, setup.own, own))(here.own) if count else (here.own, here.own)
+        )
         prior = (scaled - priors.centre[:count]) * priors.weight[:count]
         prior_slope = (steep * priors.weight[:count])[:, :, None] * jnp.eye(count, dtype=steep.dtype)[None]
         own = jnp.concatenate([own, prior_slope], axis=1)
@@ -219,7 +223,9 @@ def _shared_priors(setup: Setup, shared, priors: Priors):
     scaled, steep = _with_slope(_scaled, setup.shared, shared[:count])
     value = (scaled - priors.centre[first:]) * priors.weight[first:]
     slope = steep * priors.weight[first:]
-    return jnp.concatenate([value, scales]), jnp.concatenate([slope, jnp.broadcast_to(priors.calibration, scales.shape)])
+    return jnp.concatenate([value, scales]), jnp.concatenate(
+        [slope, jnp.broadcast_to(priors.calibration, scales.shape)]
+    )
 
 
 def estimate(
@@ -312,6 +318,7 @@ def _described(setup: Setup, problem: Problem, priors: Priors, end: Point, known
     trust = robust(raw / scale[:, None], setup.loss, setup.threshold).weight
     chi = _chi_square(setup, raw, raw_weight, trust)
     scale = jnp.sqrt(jnp.maximum(chi, 1.0))
+    plain = _chi_square(setup, raw, raw_weight, jnp.ones_like(trust))
     weight = jnp.sqrt(trust) * raw_weight / scale[:, None]
     log = jnp.asarray([PARAMETERS[n].log for n in names])
     spread = jnp.where(log[None], values, as_float([PARAMETERS[n].spread(1.0) for n in names])[None])
@@ -381,7 +388,7 @@ def _described(setup: Setup, problem: Problem, priors: Priors, end: Point, known
         gain * sky_weight[:, None] * spread[:, :, None, None],
         trust[:, : directions * channels].reshape(problem.measured.shape),
         scale,
-        chi,
+        plain,
         calibration,
         scales_sigma,
         cost,

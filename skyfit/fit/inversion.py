@@ -5,13 +5,15 @@ from collections.abc import Callable, Mapping, Sequence
 import equinox as eqx
 import numpy as np
 
-from ..scene import as_float, Scene, Sky
+from ..scene import as_float, Scene, Sky, STATION_RANGES
 from ..transport import AbstractSolver, OrdersOfScattering
 from .chain import Point
 from .estimate import Estimate, estimate, Priors, Setup
 from .guess import first_guess
 from .measurement import Measurement, Response
+from .oddities import examine
 from .parameters import check_free, PARAMETERS, partition, SkyModel, start_model, values_of, with_values
+from .plausible import doubts, poor_fit
 from .problem import Sampling, SPECTRUM_NM, station_pressure
 from .result import Fit, Fitted, in_words
 from .solve import result_name
@@ -100,6 +102,9 @@ class Plan:
         self.priors = _checked_priors(dict(priors or {}), self.free)
         self.smooth = dict(smooth or {})
         _check_shared(shared, self.smooth, self.free)
+        low, high, unit = STATION_RANGES["fwhm_nm"]
+        if fwhm_nm is not None and np.isfinite(fwhm_nm) and not low <= fwhm_nm <= high:
+            raise ValueError(f"`fwhm_nm` must be {low:g} to {high:g} {unit}, got {fwhm_nm:g}")
         self.sampling = Sampling(sky, fwhm_nm, response, self.measurement.field_of_view)
         if assumed:
             self.sampling.notes.append(assumed)
@@ -116,6 +121,8 @@ class Plan:
         # a single time has no neighbour, and nothing to share
         self.linked = bool(self.smooth) and len(sky.time) > 1
         self._check_samples()
+        if response is None:
+            self.sampling.notes += examine(sky, self.sampling.used)
         self.problem, self.places = self.sampling.problem(self.chosen, self.measurement)
         _, self.fixed = partition(self.start, self.free)
         self.prior_rows = self._prior_rows(calibration)
@@ -186,6 +193,10 @@ class Plan:
                 rows[t] = self._row(int(t), index, part, order)
         stack = {key: np.stack([row[key] for row in rows]) for key in rows[0] if key not in _WORDS}
         words = {key: tuple(row[key] for row in rows) for key in _WORDS}
+        judged = sky, stack["model"], self.sampling.used
+        notes = (*self.sampling.notes, *doubts(*judged, stack["reduced_chi_square"]))
+        pairs = zip(words["result"], poor_fit(*judged), strict=True)
+        words["result"] = tuple("poor_fit" if poor and name == "successful" else name for name, poor in pairs)
         hidden = "aerosol_optical_depth" if "turbidity" in self.free else "turbidity"
         everything = values_of(self.start, PARAMETERS)
         kept = {n: v for n, v in everything.items() if n not in self.free and n != hidden}
@@ -193,12 +204,14 @@ class Plan:
             sky=sky, solver=self.solver, free=self.free, shared=self.setup.shared, used=self.sampling.used,
             start=self.start, fwhm_nm=self.sampling.fwhm_nm, measurement=self.measurement, priors=self.priors,
             smooth=self.smooth, response=self.sampling.response, fitted_nm=sky.wavelength_nm[self.chosen],
-            notes=tuple(self.sampling.notes), fixed=kept, **stack, **words,
+            notes=notes, fixed=kept, **stack, **words,
         )  # fmt: skip
 
     def _row(self, t: int, index: int, part: Estimate, order: np.ndarray) -> dict:
-        values = np.asarray(part.values[index], float)[order]
-        noise, model = (np.asarray(v[index], float)[np.ix_(order, order)] for v in (part.noise, part.model))
+        values, change = _ordered_lobes(self.free, np.asarray(part.values[index], float)[order])
+        noise, model = (
+            _turned(change, np.asarray(v[index], float)[np.ix_(order, order)]) for v in (part.noise, part.model)
+        )
         covariance = noise + np.where(np.isfinite(noise), model, 0.0)
         at_bound = np.array([PARAMETERS[n].at_bound(v) for n, v in zip(self.free, values, strict=True)])
         sigma = np.sqrt(np.diag(covariance))
@@ -214,10 +227,17 @@ class Plan:
         held = np.asarray(self.problem.weight[t]).any(axis=1)
         weight[self.places[t][held]] = np.asarray(part.weight[index], float)[held]
         gain = np.zeros((len(order), *weight.shape))
-        gain[:, self.places[t][held]] = np.asarray(part.gain[index], float)[order][:, held]
+        gain[:, self.places[t][held]] = np.einsum(
+            "pq,qdw->pdw", change, np.asarray(part.gain[index], float)[order][:, held]
+        )
         weight = np.where(used[:, self.chosen], weight, np.nan)
         determined, sentences = in_words(
-            self.free, values, sigma, np.asarray(part.triangle[index], float)[:, order], at_bound, self.priors
+            self.free,
+            values,
+            sigma,
+            np.asarray(part.triangle[index], float)[:, order] @ np.abs(change).T,
+            at_bound,
+            self.priors,
         )
         return {
             "values": values,
@@ -229,6 +249,7 @@ class Plan:
             "model": reading,
             "rmse": float(np.sqrt(np.mean(error**2))),
             "reduced_chi_square": float(part.chi_square[index]),
+            "scale": float(part.scale[index]),
             "degrees_of_freedom": float(part.freedom[index]),
             "weight": weight,
             "gain": gain,
@@ -242,6 +263,31 @@ class Plan:
 
 
 _WORDS = ("result", "undetermined")
+_LOBES = ("asymmetry", "asymmetry_second", "forward_fraction")
+
+
+def _ordered_lobes(free: tuple[str, ...], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The values with the narrower lobe first, which is the same phase function, and the matrix of that change."""
+    change = np.eye(len(free))
+    if not set(_LOBES) <= set(free):
+        return values, change
+    first, second, share = (free.index(name) for name in _LOBES)
+    if not values[first] < values[second]:
+        return values, change
+    change[[first, second]] = change[[second, first]]
+    change[share] *= -1.0
+    if "forward_fraction_slope" in free:
+        change[free.index("forward_fraction_slope")] *= -1.0
+    ordered = change @ values
+    ordered[share] += 1.0
+    return ordered, change
+
+
+def _turned(change: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """The covariance after a signed permutation; infinite variances stay so."""
+    known = np.isfinite(covariance)
+    turned = change @ np.where(known, covariance, 0.0) @ change.T
+    return np.where(np.abs(change) @ (~known).astype(float) @ np.abs(change).T > 0.0, np.inf, turned)
 
 
 @eqx.filter_jit

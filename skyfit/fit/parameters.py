@@ -133,7 +133,7 @@ _LIST = (
         lambda m: m.atmosphere.aerosol.single_scattering_albedo_slope,
     ),
     Parameter("asymmetry", "1", 0.0, 0.95, lambda m: m.atmosphere.aerosol.phase.asymmetry),
-    Parameter("asymmetry_second", "1", -0.9, 0.8, lambda m: m.atmosphere.aerosol.phase.asymmetry_second),
+    Parameter("asymmetry_second", "1", -0.9, 0.95, lambda m: m.atmosphere.aerosol.phase.asymmetry_second),
     Parameter("forward_fraction", "1", 0.0, 1.0, lambda m: m.atmosphere.aerosol.phase.forward_fraction),
     Parameter("forward_fraction_slope", "1", -0.5, 0.5, lambda m: m.atmosphere.aerosol.phase.forward_fraction_slope),
     Parameter(
@@ -186,19 +186,19 @@ def start_model(free: tuple[str, ...], pressure: float) -> SkyModel:
     return eqx.tree_at(lambda m: m.atmosphere.rayleigh.pressure, model, as_float(pressure))
 
 
-def check_free(free: tuple[str, ...], model: SkyModel) -> None:
-    """A `ValueError` unless every name is a parameter that this model has, once, with no contradiction."""
+def check_free(free: tuple[str, ...], model: SkyModel, argument: str = "free") -> None:
+    """A `ValueError` about `argument` unless every name is a parameter that this model has, once, not contradicting."""
     if not free:
-        raise ValueError("`free` must name at least one parameter")
+        raise ValueError(f"`{argument}` must name at least one parameter")
     for name in free:
         if name not in PARAMETERS:
-            raise ValueError(f"`free` must name parameters among {', '.join(PARAMETERS)}; got {name!r}")
+            raise ValueError(f"`{argument}` must name parameters among {', '.join(PARAMETERS)}; got {name!r}")
         if not _present(PARAMETERS[name], model):
-            raise ValueError(f"`free` names {name!r}, which this atmosphere does not have")
+            raise ValueError(f"`{argument}` names {name!r}, which this atmosphere does not have")
     if len(set(free)) < len(free):
-        raise ValueError(f"`free` must name each parameter once, got {', '.join(free)}")
+        raise ValueError(f"`{argument}` must name each parameter once, got {', '.join(free)}")
     if "turbidity" in free and "aerosol_optical_depth" in free:
-        raise ValueError("`free` must not hold both turbidity and aerosol_optical_depth: they are one")
+        raise ValueError(f"`{argument}` must not hold both turbidity and aerosol_optical_depth: they are one")
 
 
 def _present(parameter: Parameter, model: SkyModel) -> bool:

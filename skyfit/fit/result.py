@@ -32,8 +32,8 @@ class Fit:
 
     - `values`, `sigma`, `at_bound`, `determined` are `[time, parameter]` in the order of `free`, units as in
       `PARAMETERS`; `covariance` `[time, parameter, parameter]`. Those of `shared` are the same at all times
-    - `sigma` holds noise, scaled by the root of `reduced_chi_square` `[time]` where that exceeds 1, priors, and
-      `model_sigma`, the part of the model's stated error
+    - `sigma` holds noise, `scale` `[time]` times what was stated where the residuals are larger, priors, and `model_sigma`,
+      the part of the model's stated error; `reduced_chi_square` `[time]` is of all samples and the stated noise
     - `model` is what the instrument would read of the fitted sky on the input's times, directions and wavelengths;
       `rmse` `[time]` is over usable samples, W m^-2 sr^-1 nm^-1
     - `weight` `[time, direction, fitted wavelength]`: 1, less for samples that the loss trusts less, NaN where not used
@@ -56,6 +56,7 @@ class Fit:
     used: np.ndarray
     rmse: np.ndarray
     reduced_chi_square: np.ndarray
+    scale: np.ndarray
     degrees_of_freedom: np.ndarray
     weight: np.ndarray
     gain: np.ndarray
@@ -136,7 +137,12 @@ _PART = 0.35
 
 
 def in_words(
-    free: tuple[str, ...], values: np.ndarray, sigma: np.ndarray, triangle: np.ndarray, at_bound: np.ndarray, priors: dict
+    free: tuple[str, ...],
+    values: np.ndarray,
+    sigma: np.ndarray,
+    triangle: np.ndarray,
+    at_bound: np.ndarray,
+    priors: dict,
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Which parameters the data determine, `[parameter]`, and sentences on what they leave open.
 

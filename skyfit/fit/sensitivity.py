@@ -185,10 +185,7 @@ def _solver(solver: AbstractSolver | None) -> AbstractSolver:
 def _names(names, argument: str, model: SkyModel) -> tuple[str, ...]:
     """The names as a tuple, or a `ValueError` that quotes the argument they came in."""
     several = (names,) if isinstance(names, str) else tuple(names)
-    try:
-        check_free(several, model)
-    except ValueError as error:
-        raise ValueError(str(error).replace("`free`", f"`{argument}`")) from None
+    check_free(several, model, argument)
     return several
 
 
