@@ -259,9 +259,9 @@ def main():
             continue
         record[name] = make()
         show(name, record[name])
-    record["made_with"] = made_with(SEED, ("optimistix", "sasktran2")) | {"noise": NOISE}
-    arguments.out.parent.mkdir(exist_ok=True)
-    arguments.out.write_text(json.dumps(record, indent=1) + "\n")
+        record["made_with"] = made_with(SEED, ("optimistix", "sasktran2")) | {"noise": NOISE}
+        arguments.out.parent.mkdir(exist_ok=True)
+        arguments.out.write_text(json.dumps(record, indent=1) + "\n")
 
 
 if __name__ == "__main__":
