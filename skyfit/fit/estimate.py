@@ -17,6 +17,8 @@ from .solve import covariance, LOGISTIC_LIMIT
 
 # strengths, in units of a column's length, of what keeps the elimination of unknowns without influence sound
 _GUARD = 1e-6
+# these move the rays of a scene or the points on them
+MOVING = ("pointing_zenith", "pointing_azimuth", "aerosol_scale_height")
 # normal deviates: the median size is 1 / 1.4826 standard deviations
 _MEDIAN_SIZE = 1.4826
 
@@ -148,7 +150,36 @@ def _reduced_time(own, common, by_channel, right, channels: int):
     )
 
 
-def _objective(setup: Setup, solver: AbstractSolver):
+def _readings(names: tuple[str, ...], solver: AbstractSolver, slopes_by: AbstractSolver, fixed, values, one: Problem):
+    """What the solver says of one time, and the derivatives by the parameters, `[sample, parameter]`, by another.
+
+    Parameters that move no ray share one pass, each of the others has its own: what does not move costs nothing then.
+    """
+
+    def read(solver, part, places, others):
+        every: list = [None] * len(names)
+        for i, value in [*zip(places, part, strict=True), *others]:
+            every[i] = value
+        return observe(solver, with_values(fixed, names, every), one)
+
+    def samples(part, places):
+        others = [(i, values[i]) for i in range(len(names)) if i not in places]
+        return _samples(one, *read(slopes_by, list(part), places, others))
+
+    still = [i for i, name in enumerate(names) if name not in MOVING]
+    columns: list = [None] * len(names)
+    if still:
+        jacobian = jax.jacfwd(lambda part: samples(part, still))(values[jnp.asarray(still)])
+        for k, i in enumerate(still):
+            columns[i] = jacobian[:, k]
+    for i in range(len(names)):
+        if i not in still:
+            _, columns[i] = jax.jvp(lambda v, i=i: samples([v], [i]), (values[i],), (jnp.ones_like(values[i]),))
+    radiance, direct = read(solver, list(values), range(len(names)), [])
+    return Known(radiance, direct, jnp.stack(columns, axis=1))
+
+
+def _objective(setup: Setup, solver: AbstractSolver, slopes_by: AbstractSolver):
     """The rows of all times, linear about the point, for `minimise`."""
     names, count = setup.names, len(setup.own)
 
@@ -164,13 +195,7 @@ def _objective(setup: Setup, solver: AbstractSolver):
             own, one = item
             free = jnp.concatenate([own, shared])
             values, slope = _with_slope(bound, names, free)
-
-            def readings(values):
-                radiance, direct = observe(solver, with_values(fixed, names, values), one)
-                return _samples(one, radiance, direct), (radiance, direct)
-
-            jacobian, (radiance, direct) = jax.jacfwd(readings, has_aux=True)(values)
-            return Known(radiance, direct, jacobian), slope
+            return _readings(names, solver, slopes_by, fixed, values, one), slope
 
         known, slopes = jax.lax.map(known_at, (here.own, problem))
         residual, weight = _whitened(problem, known, calibration, scale)
@@ -238,7 +263,8 @@ def estimate(
 ) -> Estimate:
     """The parameters of some times and what is known of their errors.
 
-    **Arguments:** `solvers` of the first and of the last steps; `fixed`, a model with the values that are not fitted;
+    **Arguments:** `solvers` of the first and of the last steps, whose slopes are the first one's too: where the search
+    ends and what a sigma is do not need them more exactly than to the per cent that the two differ by; `fixed`, a model with the values that are not fitted;
     `starts`, unconstrained numbers, `own` `[start, time, parameter]` and `shared` `[start, shared]`: the first solver
     goes from each of them, the last one from the best end. The time axis of all is any length; its cost is linear.
     """
@@ -250,7 +276,7 @@ def estimate(
     ones = jnp.ones(problem.measured.shape[0], dtype)
 
     def run(solver, point, scale):
-        rows = _objective(setup, solver)
+        rows = _objective(setup, solver, solvers[0])
         end, known, steps, result = minimise(rows, point, (fixed, problem, priors, scale), limit, none, setup.max_steps)
         return end, known, steps, result
 

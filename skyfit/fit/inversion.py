@@ -66,7 +66,8 @@ def invert(
     - `measurement`: noise, calibration, field of view, outliers (`Measurement`)
     - `priors`: name -> (value, sigma) in the parameter's unit; of a positive parameter sigma / value is that of its
       logarithm. `smooth`: name -> sigma of its change within an hour, on the same scale, for names that are not shared
-    - `draft`: solver of the first steps (default: the draft of the default solver; else `solver` itself)
+    - `draft`: solver of the first steps and of the slopes throughout (default: `OrdersOfScattering.scout` for
+      `OrdersOfScattering`; else `solver` itself)
     - `max_steps` of Levenberg-Marquardt each; `progress(done, of)` is called after each time that is fitted by itself
 
     **Returns:** a `Fit`. Sigma is that of noise (widened where the residuals exceed it), priors included, and of the
@@ -94,9 +95,11 @@ class Plan:
     ):  # fmt: skip
         self.sky, self.free, shared = sky, tuple(free), tuple(shared)
         self.measurement = Measurement() if measurement is None else measurement
-        if solver is None:
-            solver, draft = OrdersOfScattering.normal(), OrdersOfScattering.draft() if draft is None else draft
-        self.solver, self.draft = solver, solver if draft is None else draft
+        self.solver = OrdersOfScattering.normal() if solver is None else solver
+        if draft is None:
+            whole = isinstance(self.solver, OrdersOfScattering)
+            draft = OrdersOfScattering.scout(self.solver.geometry) if whole else self.solver
+        self.draft = draft
         pressure, assumed = station_pressure(sky)
         self.start = start_model(self.free, pressure) if start is None else start
         check_free(self.free, self.start)
