@@ -284,7 +284,8 @@ class ChainDescent(optx.AbstractDescent):
         held = jax.tree.map(
             lambda out, s, d: jnp.maximum(out, ((s != 0.0) & (jnp.sign(d) == s)).astype(d.dtype)), outward, side, again
         )
-        change = moved(held)
+        more = jax.tree.reduce(jnp.logical_or, jax.tree.map(lambda h, o: jnp.any(h != o), held, outward))
+        change = jax.lax.cond(more, moved, lambda _: again, held)
         # a logistic curve is straight for about this far
         bounded = jax.tree.map(
             lambda d, limit: jnp.where(jnp.isfinite(limit), jnp.clip(d, -self.longest, self.longest), d), change, self.limit
