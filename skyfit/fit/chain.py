@@ -242,7 +242,8 @@ class ChainDescent(optx.AbstractDescent):
 
     limit: Point
     linear: int = 0
-    first_damping: float = 0.01
+    first_damping: float = 0.1
+    longest: float = 2.0
 
     def init(self, y, f_info_struct):
         rows = f_info_struct.residual
@@ -284,7 +285,11 @@ class ChainDescent(optx.AbstractDescent):
             lambda out, s, d: jnp.maximum(out, ((s != 0.0) & (jnp.sign(d) == s)).astype(d.dtype)), outward, side, again
         )
         change = moved(held)
-        return jax.tree.map(lambda p, d, limit: jnp.clip(p + d, -limit, limit) - p, state.point, change, self.limit)
+        # a logistic curve is straight for about this far
+        bounded = jax.tree.map(
+            lambda d, limit: jnp.where(jnp.isfinite(limit), jnp.clip(d, -self.longest, self.longest), d), change, self.limit
+        )
+        return jax.tree.map(lambda p, d, limit: jnp.clip(p + d, -limit, limit) - p, state.point, bounded, self.limit)
 
 
 class ChainMarquardt(optx.AbstractGaussNewton):
@@ -297,7 +302,9 @@ class ChainMarquardt(optx.AbstractGaussNewton):
     rtol: float = 0.0
     atol: float = 0.0
     norm: Callable = optx.max_norm
-    search: optx.AbstractSearch = optx.ClassicalTrustRegion(high_cutoff=0.75, low_cutoff=0.01)
+    search: optx.AbstractSearch = optx.ClassicalTrustRegion(
+        high_cutoff=0.75, low_cutoff=0.01, high_constant=5.0, low_constant=0.1
+    )
     verbose: Callable = lambda **_: None
 
     def terminate(self, fn, y, args, options, state, tags):

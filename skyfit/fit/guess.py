@@ -14,9 +14,12 @@ from .parameters import PARAMETERS, SkyModel, with_values
 from .problem import observe, Problem
 
 
-# hazes that are tried: optical depths from clean to thick, exponents of coarse and fine particles
-_DEPTHS = (0.02, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
-_EXPONENTS = (0.3, 1.3)
+# hazes that are tried: optical depths from clean to thick, exponents of coarse and fine particles, phase functions by
+# the names of their parameters: of broad lobes, and of a narrow one over a broad one
+_DEPTHS = (0.03, 0.08, 0.2, 0.5, 1.2)
+_EXPONENTS = (0.4, 1.4)
+_LOBES = ({}, {"asymmetry": 0.85, "asymmetry_second": 0.45, "forward_fraction": 0.4},
+          {"asymmetry": 0.93, "asymmetry_second": 0.55, "forward_fraction": 0.25})  # fmt: skip
 # what all orders of scattering make of the light of the first one, at each wavelength
 _BRIGHTENING = (1.0, 1.8)
 
@@ -32,31 +35,30 @@ def first_guess(geometry: Geometry, model: SkyModel, free: tuple[str, ...], prob
     depth = next((n for n in ("aerosol_optical_depth", "turbidity") if n in free), None)
     if depth is None or not hasattr(model.atmosphere.aerosol, "optical_depth"):
         return values
-    exponents = _EXPONENTS if "angstrom_exponent" in free else (None,)
-    tried = []
-    for optical_depth, exponent in itertools.product(_DEPTHS, exponents):
-        haze = with_values(model, ("aerosol_optical_depth",), [optical_depth])
-        row = dict(zip(free, first, strict=True)) | {depth: float(PARAMETERS[depth].from_leaf(optical_depth))}
-        if exponent is not None:
-            haze, row["angstrom_exponent"] = with_values(haze, ("angstrom_exponent",), [exponent]), exponent
-        tried.append((haze, list(row.values())))
-    models = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(haze for haze, _ in tried))
-    costs = np.asarray(_costs(SingleScattering.draft(geometry), models, problem), float)
-    rows = np.array([row for _, row in tried])
+    exponents = [{"angstrom_exponent": v} for v in _EXPONENTS] if "angstrom_exponent" in free else [{}]
+    lobes = _LOBES if set(_LOBES[-1]) <= set(free) else ({},)
+    depths = [{depth: float(PARAMETERS[depth].from_leaf(v))} for v in _DEPTHS]
+    rows = np.array(
+        [
+            list((dict(zip(free, first, strict=True)) | a | b | c).values())
+            for a, b, c in itertools.product(depths, exponents, lobes)
+        ]
+    )
+    costs = np.asarray(_costs(SingleScattering.draft(geometry), model, free, as_float(rows), problem), float)
     best = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
     return np.where(np.isfinite(costs).any(axis=0)[:, None], rows[best], values)
 
 
 @eqx.filter_jit
-def _costs(solver, models, problem: Problem):
-    """What each model leaves over at each time, `[model, time]`, the level of each channel being free within bounds."""
+def _costs(solver, model, free, rows, problem: Problem):
+    """What each row of values leaves over at each time, the level of each channel being free within bounds."""
 
-    def cost(model, one):
-        light, _ = observe(solver, model, one)
+    def cost(row, one):
+        light, _ = observe(solver, with_values(model, free, row), one)
         weighted = one.weight**2 * light
         norm = jnp.sum(weighted * light, axis=0)
         level = jnp.sum(weighted * one.measured, axis=0) / jnp.where(norm > 0.0, norm, 1.0)
         level = jnp.clip(level, *as_float(_BRIGHTENING))
         return jnp.sum((one.weight * (level[None] * light - one.measured)) ** 2)
 
-    return jax.lax.map(lambda model: jax.lax.map(lambda one: cost(model, one), problem), models)
+    return jax.lax.map(lambda row: jax.lax.map(lambda one: cost(row, one), problem), rows)

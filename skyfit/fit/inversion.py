@@ -25,10 +25,11 @@ DEFAULT_FREE = (
     "asymmetry_second", "forward_fraction", "forward_fraction_slope", "ground_albedo", "pointing_zenith",
     "pointing_azimuth",
 )  # fmt: skip
-# what stays the same over a day: the kind of particle, the ground, the air; the amount of haze and the pointing do not
+# what stays the same over a day: the kind of particle and the air; the amount of haze, the pointing and, under a moving
+# sun, what the ground reflects do not
 SLOW = (
     "single_scattering_albedo", "single_scattering_albedo_slope", "asymmetry", "asymmetry_second", "forward_fraction",
-    "forward_fraction_slope", "aerosol_scale_height", "ozone", "ground_albedo", "ground_albedo_slope", "pressure",
+    "forward_fraction_slope", "aerosol_scale_height", "ozone", "ground_albedo_slope", "pressure",
 )  # fmt: skip
 # spread of the logistic numbers of random starts: most of each range, not its ends
 _START_SPREAD = 1.5

@@ -13,8 +13,9 @@ from ..scene import Sky
 
 Loss = Literal["squares", "huber", "cauchy"]
 
-# the noise that is taken where a file gives none: of each sample, and a share of the time's median radiance
-_RELATIVE, _FLOOR = 0.02, 0.03
+# where a file gives none, of each sample and of the time's median radiance: the residuals of settled measured scans are of
+# this size (experiments/measured_sky.py)
+_RELATIVE, _FLOOR = 0.02, 0.05
 # the calibration's prior where the noise is not known either
 _CALIBRATION = 0.01
 
@@ -24,7 +25,7 @@ class Measurement:
     """What is known of how a sky was measured.
 
     - `relative`, `floor`: standard deviation of a sample's noise, as a share of the sample and of the time's median
-      radiance, added in quadrature. None: the file's sigma, or 0.02 and 0.03 where it has none.
+      radiance, added in quadrature. None: the file's sigma, or 0.02 and 0.05 where it has none.
     - `calibration`: standard deviation of the scale of each wavelength, which all times share and the fit finds with
       this prior; 0: exact. None: 0 if the noise is given, by the file or here, else 0.01.
     - `model_error`: relative size of each of the smooth errors of the model that `sigma` allows for (`error_shapes`): by
