@@ -36,11 +36,13 @@ from .fit import (
     Fit as Fit,
     fit_perez as fit_perez,
     invert as invert,
+    Measurement as Measurement,
     next_directions as next_directions,
     PARAMETERS as PARAMETERS,
     posterior_covariance as posterior_covariance,
     predict as predict,
     refit as refit,
+    Response as Response,
     sensitivity as sensitivity,
 )
 from .light import daylight as daylight, srgb as srgb, srgb_from_linear as srgb_from_linear, xyY as xyY, xyz as xyz

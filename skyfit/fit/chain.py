@@ -68,7 +68,7 @@ def blocks_of(jacobian, residual: Rows, point: Point) -> Blocks:
     none = jnp.zeros((2 * own, shared), point.own.dtype)
     seeds = Point(jnp.concatenate([seeds, nothing]), jnp.concatenate([none, jnp.eye(shared, dtype=none.dtype)]))
     columns = jax.vmap(jacobian.mv)(seeds)
-    data, step = columns.data, columns.step[: 2 * own].reshape(2, own, -1, own)
+    data, step = columns.data, columns.step[: 2 * own].reshape(2, own, times - 1, own)
     link = jnp.stack([jnp.diagonal(step[i], axis1=0, axis2=2) for i in range(2)])
     first = (jnp.arange(link.shape[1]) % 2 == 0)[:, None]
     return Blocks(
