@@ -8,7 +8,7 @@ from .result import time_names
 
 
 # root mean square residual by the mean radiance; the eight scans of 2013-05-27 have 0.06 to 0.09
-_POOR = 0.25
+POOR = 0.25
 # and by sigma: of a file that states it, and of the noise that is taken where it does not (0.02 and 0.03), by which
 # those scans have 1.6 to 2.7
 _LARGE_STATED, _LARGE_ASSUMED = 2.0, 3.0
@@ -52,7 +52,7 @@ def poor_fit(
 
     **Arguments:** as `doubts`. **Returns:** `[time]`; a fit of which this is true is no success.
     """
-    return ~(_share(sky, model, used) <= _POOR)
+    return ~(_share(sky, model, used) <= POOR)
 
 
 def _share(sky: Sky, model, used):
