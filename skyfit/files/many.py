@@ -202,7 +202,8 @@ def _kept(parts: Path) -> list[dict[str, np.ndarray]]:
     chunks = []
     for file in sorted(parts.glob("[0-9]*.npz")):
         try:
-            with np.load(file, allow_pickle=False) as data:
+            # opened here: NumPy leaves a file open that is no archive
+            with open(file, "rb") as stream, np.load(stream, allow_pickle=False) as data:
                 chunks.append({name: data[name] for name in data.files})
         except (OSError, ValueError, EOFError, zipfile.BadZipFile):
             file.unlink(missing_ok=True)

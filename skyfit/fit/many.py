@@ -20,7 +20,7 @@ from .chain import Point
 from .estimate import estimate
 from .inversion import described, Plan
 from .oddities import examine
-from .plausible import POOR
+from .plausible import beyond_sigma, POOR
 
 
 # how a time can end; all but the first three have NaN for values
@@ -37,14 +37,14 @@ class Fits:
 
     - `values`, `sigma`, `model_sigma`, `at_bound`, `determined` `[time, parameter]` and `covariance` `[time, parameter,
       parameter]` as in `Fit`, in the order of `free`, units as in `PARAMETERS`; NaN (false) where a time has none
-    - `reduced_chi_square`, `scale`, `degrees_of_freedom` `[time]` as in `Fit`; `rmse` `[time]`, W m^-2 sr^-1 nm^-1, over
-      the usable samples at the fitted wavelengths, `samples` of them
+    - `reduced_chi_square`, `scale`, `degrees_of_freedom` `[time]` as in `Fit`; `rmse` `[time]`, W m^-2 sr^-1 nm^-1,
+      over the usable samples at the fitted wavelengths, `samples` of them
     - `calibration`, `calibration_sigma` `[time, fitted wavelength]`: the instrument's scale, 1 where it is not fitted
     - `steps` `[time]`, `cost` `[time]`: half the sum of squares after the loss
     - `result` `[time]`, among `RESULTS`: "successful"; "poor_fit" (residuals beyond a quarter of the mean radiance) and
       "max_steps_reached", whose numbers do not hold; without any "failed" (not finite), "no_samples", "too_few_samples"
       (fewer than parameters), "sun_below_horizon", "not_a_sky" (no sunlight makes such radiance)
-    - `notes` `[time]`: sentences on what is odd about a time's samples; `fixed`: what was not fitted
+    - `notes` `[time]`: sentences on what is odd about a time's samples or residuals; `fixed`: what was not fitted
     - `settings`: what was asked for and of which sky, as text; `time` `[time]`, UTC, NaT where unknown
     """
 
@@ -101,7 +101,8 @@ def fit_chunks(
 
     **Arguments:** `times`, indices; `chunk`, how many are in one call, `batch_size`, how many of them in lock-step.
     **Returns** (yields) arrays by their names in `Fits`, and `index`, the times that they are of. All chunks have one
-    shape, so that one compilation does; they are split over all devices. On one CPU as many run at once as it has cores.
+    shape, so that one compilation does; they are split over all devices. On one CPU as many run at once as it has
+    cores.
     """
     devices = jax.local_devices()
     mesh = Mesh(np.array(devices), ("time",))
@@ -188,14 +189,20 @@ def _outcome(setup, solvers, fixed, priors, one, own) -> Outcome:
     count = jnp.maximum(jnp.sum(used), 1)
     rmse = jnp.sqrt(jnp.sum(jnp.where(used, found.radiance[0] - one.measured, 0.0) ** 2) / count)
     poor = ~(rmse <= POOR * jnp.sum(one.measured) / count)
-    late = found.result == optx.RESULTS.nonlinear_max_steps_reached
-    well = found.result == optx.RESULTS.successful
-    ended = jnp.where(well, jnp.where(poor, 1, 0), jnp.where(late, 2, 3))
     return Outcome(
         found.values[0], found.noise[0], found.model[0], found.freedom[0], found.scale[0], found.chi_square[0],
         found.calibration, found.calibration_sigma, rmse, found.cost, found.steps,
-        jnp.where(found.finite, ended, RESULTS.index("failed")),
+        ended(found.result, found.finite, poor),
     )  # fmt: skip
+
+
+def ended(result, finite, poor) -> Int[Array, ""]:
+    """How a search ended, as an index into `RESULTS`.
+
+    **Arguments:** optimistix' `result`; whether its outcome is `finite`, and the fit `poor`.
+    """
+    well, late = result == optx.RESULTS.successful, result == optx.RESULTS.nonlinear_max_steps_reached
+    return jnp.where(finite & well, jnp.where(poor, 1, 0), jnp.where(finite & late, 2, 3))
 
 
 def _columns(plan: Plan, index: np.ndarray, ends: list[str], notes: list[str], outcome: Outcome) -> dict:
@@ -212,6 +219,10 @@ def _columns(plan: Plan, index: np.ndarray, ends: list[str], notes: list[str], o
     rows = [
         described(plan.free, order, *row)[0] for row in zip(told["values"], told["noise"], told["model"], strict=True)
     ]
+    doubts = [
+        beyond_sigma(plan.sky, chi) if name == "successful" else ()
+        for name, chi in zip(result, told["chi_square"], strict=True)
+    ]
     stacked = {key: np.stack([row[key] for row in rows]) for key in rows[0]}
     return stacked | {
         "index": np.asarray(index),
@@ -225,7 +236,7 @@ def _columns(plan: Plan, index: np.ndarray, ends: list[str], notes: list[str], o
         "steps": np.asarray(outcome.steps[:count]),
         "cost": told["cost"],
         "result": result,
-        "notes": np.array(notes),
+        "notes": np.array(["\n".join((*said.splitlines(), *more)) for said, more in zip(notes, doubts, strict=True)]),
     }
 
 

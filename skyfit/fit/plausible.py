@@ -28,19 +28,25 @@ def doubts(
     states it, 3 of the noise that is taken where it does not.
     """
     found = []
-    limit = _LARGE_ASSUMED if sky.sigma is None else _LARGE_STATED
     shares, poor = _share(sky, model, used), poor_fit(sky, model, used)
     for time, (share, chi_square) in enumerate(zip(shares, reduced_chi_square, strict=True)):
-        ratio = np.sqrt(chi_square)
         if poor[time]:
             left = f"{100.0 * share:.0f} % of the mean radiance" if np.isfinite(share) else "not finite"
             found.append(f"{at_time(sky, time)}poor fit, the residuals are {left}: neither values nor sigmas hold")
-        elif not ratio <= limit:
-            found.append(
-                f"{at_time(sky, time)}the residuals are {ratio:.3g} times their sigma: it is understated, or the model "
-                "lacks something that the error bars do not know"
-            )
+        else:
+            found += [at_time(sky, time) + sentence for sentence in beyond_sigma(sky, chi_square)]
     return tuple(found)
+
+
+def beyond_sigma(sky: Sky, reduced_chi_square: float) -> tuple[str, ...]:
+    """A sentence where the residuals of a time are far beyond the noise, as in `doubts`, else nothing."""
+    ratio = np.sqrt(reduced_chi_square)
+    if ratio <= (_LARGE_ASSUMED if sky.sigma is None else _LARGE_STATED):
+        return ()
+    return (
+        f"the residuals are {ratio:.3g} times their sigma: it is understated, or the model lacks something that the "
+        "error bars do not know",
+    )
 
 
 def poor_fit(
