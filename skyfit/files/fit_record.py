@@ -10,7 +10,6 @@ import math
 import os
 from collections.abc import Callable
 from dataclasses import fields, replace
-from importlib import metadata
 from pathlib import Path
 
 import equinox as eqx
@@ -26,7 +25,7 @@ from ..transport import AbstractSolver
 from .netcdf import degrees, write_netcdf
 from .record_form import is_number, parse, SCHEMA, shown, VERSION
 from .units import RADIANCE
-from .writing import atomic, write_sky
+from .writing import atomic, skyfit_version, write_sky
 
 
 def save(fit: Fit, path: str | os.PathLike) -> None:
@@ -98,10 +97,6 @@ def _write_json(fit: Fit, part: Path) -> None:
 
 def _record(fit: Fit) -> dict:
     sky, solver = fit.sky, fit.solver
-    try:
-        version = metadata.version("skyfit")
-    except metadata.PackageNotFoundError:
-        version = None
     fixed = values_of(fit.start, [name for name in _names(fit.start) if name not in fit.free])
     if "turbidity" in fit.free:
         fixed.pop("aerosol_optical_depth", None)
@@ -109,7 +104,7 @@ def _record(fit: Fit) -> dict:
     return {
         "schema": SCHEMA,
         "version": VERSION,
-        "skyfit_version": version,
+        "skyfit_version": skyfit_version(),
         "source": sky.source,
         "solver": {"name": _class_name(solver)} | {f.name: getattr(solver, f.name) for f in fields(solver)},
         "geometry": solver.geometry,

@@ -66,8 +66,8 @@ class Estimate(NamedTuple):
     `values` and covariances are in the order own, shared, in the parameters' stated units. `noise` is the covariance by
     noise, priors included, already widened by `scale` squared; `model` that by the model's stated error. `chi_square` is
     of all samples, those that the loss trusts less too. `triangle` has
-    the scaled Jacobian's singular values. `gain`: d parameter / d radiance of the same time. `cost`: half the sum of
-    squares after the loss.
+    the scaled Jacobian's singular values. `radiance`: what the instrument would read of the end. `gain`: d parameter /
+    d radiance of the same time. `cost`: half the sum of squares after the loss.
     """
 
     values: Float[Array, "time parameter"]
@@ -75,6 +75,7 @@ class Estimate(NamedTuple):
     model: Float[Array, "time parameter parameter"]
     triangle: Float[Array, "time row parameter"]
     freedom: Float[Array, " time"]
+    radiance: Float[Array, "time direction channel"]
     gain: Float[Array, "time parameter direction channel"]
     weight: Float[Array, "time direction channel"]
     scale: Float[Array, " time"]
@@ -411,6 +412,7 @@ def _described(setup: Setup, problem: Problem, priors: Priors, end: Point, known
         jnp.einsum("tpk,tqk->tpq", shift, shift),
         triangles,
         freedom,
+        known.radiance * calibration[None, None],
         gain * sky_weight[:, None] * spread[:, :, None, None],
         trust[:, : directions * channels].reshape(problem.measured.shape),
         scale,

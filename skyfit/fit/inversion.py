@@ -15,7 +15,7 @@ from .oddities import examine
 from .parameters import check_free, PARAMETERS, partition, SkyModel, start_model, values_of, with_values
 from .plausible import doubts, poor_fit
 from .problem import Sampling, SPECTRUM_NM, station_pressure
-from .result import Fit, Fitted, in_words
+from .result import Fit, Fitted, in_words, is_determined
 from .solve import result_name
 
 
@@ -76,6 +76,7 @@ def invert(
     **Errors:** `ValueError` for unknown or contradicting names, or a sky with too few usable samples.
     """
     plan = Plan(sky, free, solver, start, fwhm_nm, max_steps, shared, measurement, response, priors, smooth, draft)
+    plan.check()
     times = len(sky.time)
     groups = [np.arange(times)] if plan.setup.shared or plan.linked else [np.array([t]) for t in range(times)]
     parts = []
@@ -124,23 +125,34 @@ class Plan:
         )  # fmt: skip
         # a single time has no neighbour, and nothing to share
         self.linked = bool(self.smooth) and len(sky.time) > 1
-        self._check_samples()
-        if response is None:
-            self.sampling.notes += examine(sky, self.sampling.used)
         self.problem, self.places = self.sampling.problem(self.chosen, self.measurement)
         _, self.fixed = partition(self.start, self.free)
         self.prior_rows = self._prior_rows(calibration)
 
-    def _check_samples(self) -> None:
-        sky, used = self.sky, self.sampling.used[:, :, self.chosen]
-        for t in range(len(sky.time)):
-            count = int(used[t].sum())
-            if count < len(self.free):
+    def flaws(self) -> list[str]:
+        """Why each time cannot be fitted: "no_samples", "too_few_samples", "sun_below_horizon", or "" if it can."""
+        counts = self.sampling.used[:, :, self.chosen].sum(axis=(1, 2))
+        up = self.sky.sun_zenith < 0.5 * np.pi
+        return [
+            "sun_below_horizon" if not up[t]
+            else "no_samples" if not counts[t]
+            else "too_few_samples" if counts[t] < len(self.free)
+            else ""
+            for t in range(len(counts))
+        ]  # fmt: skip
+
+    def check(self) -> None:
+        """A `ValueError` if any time cannot be fitted, or if all are no sky; what is odd goes into the notes."""
+        for t, flaw in enumerate(self.flaws()):
+            if flaw == "sun_below_horizon":
+                raise ValueError(f"`sky` has the sun at or below the horizon at time {t}: it cannot be inverted")
+            if flaw:
+                count = int(self.sampling.used[t][:, self.chosen].sum())
                 raise ValueError(
                     f"`sky` has {count} usable samples at time {t}, fewer than the {len(self.free)} free parameters"
                 )
-            if not sky.sun_zenith[t] < 0.5 * np.pi:
-                raise ValueError(f"`sky` has the sun at or below the horizon at time {t}: it cannot be inverted")
+        if self.sampling.response is None:
+            self.sampling.notes += examine(self.sky, self.sampling.used)
 
     def _prior_rows(self, calibration: float) -> Priors:
         centre, weight = [], []
@@ -212,13 +224,8 @@ class Plan:
         )  # fmt: skip
 
     def _row(self, t: int, index: int, part: Estimate, order: np.ndarray) -> dict:
-        values, change = _ordered_lobes(self.free, np.asarray(part.values[index], float)[order])
-        noise, model = (
-            _turned(change, np.asarray(v[index], float)[np.ix_(order, order)]) for v in (part.noise, part.model)
-        )
-        covariance = noise + np.where(np.isfinite(noise), model, 0.0)
-        at_bound = np.array([PARAMETERS[n].at_bound(v) for n, v in zip(self.free, values, strict=True)])
-        sigma = np.sqrt(np.diag(covariance))
+        found, change = described(self.free, order, part.values[index], part.noise[index], part.model[index])
+        values = found["values"]
         result = result_name(part.result) if bool(part.finite) else "failed"
         calibration = np.asarray(part.calibration, float)
         fitted = with_values(self.fixed, self.free, as_float(values))
@@ -235,21 +242,13 @@ class Plan:
             "pq,qdw->pdw", change, np.asarray(part.gain[index], float)[order][:, held]
         )
         weight = np.where(used[:, self.chosen], weight, np.nan)
-        determined, sentences = in_words(
+        sentences = in_words(
             self.free,
-            values,
-            sigma,
+            found,
             np.asarray(part.triangle[index], float)[:, order] @ np.abs(change).T,
-            at_bound,
             self.priors,
         )
-        return {
-            "values": values,
-            "sigma": sigma,
-            "covariance": covariance,
-            "model_sigma": np.sqrt(np.diag(model)),
-            "at_bound": at_bound,
-            "determined": determined,
+        return found | {
             "model": reading,
             "rmse": float(np.sqrt(np.mean(error**2))),
             "reduced_chi_square": float(part.chi_square[index]),
@@ -264,6 +263,27 @@ class Plan:
             "result": result,
             "undetermined": sentences,
         }
+
+
+def described(free: tuple[str, ...], order: np.ndarray, values, noise, model) -> tuple[dict, np.ndarray]:
+    """What an estimate says of the parameters of one time, in the order in which the user named them.
+
+    **Arguments:** `order`, the place of each free name in the arrays; `values`, covariances `noise` and `model`.
+    **Returns:** values, sigma, covariance, model_sigma, at_bound, determined; the change that orders the lobes.
+    """
+    values, change = _ordered_lobes(free, np.asarray(values, float)[order])
+    noise, model = (_turned(change, np.asarray(v, float)[np.ix_(order, order)]) for v in (noise, model))
+    covariance = noise + np.where(np.isfinite(noise), model, 0.0)
+    sigma = np.sqrt(np.diag(covariance))
+    found = {
+        "values": values,
+        "sigma": sigma,
+        "covariance": covariance,
+        "model_sigma": np.sqrt(np.diag(model)),
+        "at_bound": np.array([PARAMETERS[n].at_bound(v) for n, v in zip(free, values, strict=True)]),
+        "determined": is_determined(free, values, sigma),
+    }
+    return found, change
 
 
 _WORDS = ("result", "undetermined")
@@ -288,8 +308,8 @@ def _ordered_lobes(free: tuple[str, ...], values: np.ndarray) -> tuple[np.ndarra
 
 
 def _turned(change: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """The covariance after a signed permutation; infinite variances stay so."""
-    known = np.isfinite(covariance)
+    """The covariance after a signed permutation; infinite variances stay so, and what is not a number."""
+    known = ~np.isinf(covariance)
     turned = change @ np.where(known, covariance, 0.0) @ change.T
     return np.where(np.abs(change) @ (~known).astype(float) @ np.abs(change).T > 0.0, np.inf, turned)
 

@@ -136,21 +136,20 @@ _FROM_PRIOR = 0.7
 _PART = 0.35
 
 
-def in_words(
-    free: tuple[str, ...],
-    values: np.ndarray,
-    sigma: np.ndarray,
-    triangle: np.ndarray,
-    at_bound: np.ndarray,
-    priors: dict,
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Which parameters the data determine, `[parameter]`, and sentences on what they leave open.
-
-    **Arguments:** `triangle`, rows whose normal matrix is the inverse covariance of the parameters in units of their
-    `spread`: its small singular values are the weak directions.
-    """
+def is_determined(free: tuple[str, ...], values: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Whether the data determine each parameter: its sigma is well below its allowed range, or e-fold."""
     limit = np.array([_DETERMINED_SHARE * PARAMETERS[n].spread(v) for n, v in zip(free, values, strict=True)])
-    determined = np.isfinite(sigma) & (sigma < limit)
+    return np.isfinite(sigma) & (sigma < limit)
+
+
+def in_words(free: tuple[str, ...], found: dict, triangle: np.ndarray, priors: dict) -> tuple[str, ...]:
+    """Sentences on what the data leave open.
+
+    **Arguments:** `found`, with sigma, at_bound and determined, `[parameter]`; `triangle`, rows whose normal matrix is
+    the inverse covariance of the parameters in units of their `spread`: its small singular values are the weak
+    directions.
+    """
+    sigma, at_bound, determined = found["sigma"], found["at_bound"], found["determined"]
     sentences = [
         f"{name} is not determined by these data" for name, yes in zip(free, determined, strict=True) if not yes
     ]
@@ -168,7 +167,7 @@ def in_words(
             mixed = [free[i] for i in np.flatnonzero(np.abs(row) > _PART)]
             if value < 1.0 / _DETERMINED_SHARE and len(mixed) > 1:
                 sentences.append(f"only a combination is determined of {', '.join(mixed)}")
-    return determined, tuple(sentences)
+    return tuple(sentences)
 
 
 def time_names(sky: Sky) -> tuple[str, ...]:
