@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 
 import skyfit
 from skyfit.fit import Fitted, PARAMETERS, start_model, station_pressure, time_names, values_of, with_values
-from skyfit.fit.inversion import day_of_year, GAS_BANDS_NM
+from skyfit.fit.problem import day_of_year, GAS_BANDS_NM
 from skyfit.fit.line_shape import estimate_fwhm
 from skyfit.fit.parameters import check_free, partition
 from skyfit.light import extraterrestrial_irradiance

@@ -191,8 +191,8 @@ def _objective(setup: Setup, solver: AbstractSolver):
         scaled, steep = (
             jax.vmap(lambda own: _with_slope(_scaled, setup.own, own))(here.own) if count else (here.own, here.own)
         )
-        prior = (scaled - priors.centre[:count]) * priors.weight[:count]
-        prior_slope = (steep * priors.weight[:count])[:, :, None] * jnp.eye(count, dtype=steep.dtype)[None]
+        prior = (scaled - priors.centre[None, :count]) * priors.weight[None, :count]
+        prior_slope = (steep * priors.weight[None, :count])[:, :, None] * jnp.eye(count, dtype=steep.dtype)[None]
         own = jnp.concatenate([own, prior_slope], axis=1)
         common = jnp.concatenate([common, jnp.zeros((times, count, common.shape[2]), common.dtype)], axis=1)
         right = jnp.concatenate([right[..., 0], prior], axis=1)
@@ -281,7 +281,7 @@ def _cost(setup: Setup, problem: Problem, priors: Priors, end: Point, known: Kno
     count = len(setup.own)
     if count:
         scaled = jax.vmap(lambda own: _scaled(setup.own, own))(end.own)
-        total += jnp.sum(((scaled - priors.centre[:count]) * priors.weight[:count]) ** 2)
+        total += jnp.sum(((scaled - priors.centre[None, :count]) * priors.weight[None, :count]) ** 2)
         total += jnp.sum(((scaled[1:] - scaled[:-1]) * priors.step) ** 2)
     return 0.5 * (total + jnp.sum(_shared_priors(setup, end.shared, priors)[0] ** 2))
 
@@ -344,7 +344,7 @@ def _described(setup: Setup, problem: Problem, priors: Priors, end: Point, known
     right = jnp.concatenate([right, jnp.zeros((times, own_count, side), own.dtype)], axis=1)
     scales = common.shape[2] - len(setup.shared)
     prior = jnp.diag(jnp.concatenate([tight[own_count:], jnp.broadcast_to(priors.calibration, (scales,))]))
-    link = unit[:own_count] * priors.step
+    link = unit[None, :own_count] * priors.step
     blocks = Blocks(
         own, common, right, prior, jnp.zeros((prior.shape[0], side), own.dtype), -link, link,
         jnp.zeros((*link.shape, side), own.dtype),
