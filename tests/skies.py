@@ -183,7 +183,7 @@ MADE_SHARED = ("asymmetry",)
 
 @cache
 def fit_of_made_sky() -> Fit:
-    """A fit to `make_sky` filled by the solver `MADE_WITH`, with seeded relative noise; the times share the asymmetry."""
+    """A fit to `make_sky` filled by the solver `MADE_WITH`, with seeded noise; the times share the asymmetry."""
     free, truth, noise = MADE_FREE, [3.2, 1.1, 0.72, 1.5], 0.02
     sky = make_sky()
     model = with_values(start_model(free, 97000.0), free, truth)

@@ -18,7 +18,7 @@ from .record_of import constants_of, kinds_of, names_of, place_of
 
 
 def rebuilt(record: dict) -> Fitted:
-    """The fitted skies of a record of the form that `record_form` documents; `ValueError` names a key that cannot be."""
+    """The fitted skies of a record of the form in `record_form`; a `ValueError` names the key that cannot be."""
     free, shared, times = record["free"], record["shared"]["parameters"], record["times"]
     if not times:
         raise ValueError("key `times`: expected an entry or more, found none")
@@ -46,7 +46,7 @@ def _calibration(about: dict, times: int):
     wavelength, rows = np.array(about["wavelength_nm"], float), about["scale"]
     if wavelength.size == 0 or not np.all(np.diff(wavelength) > 0.0):
         raise ValueError(
-            f"key `calibration.wavelength_nm`: expected it to increase, found {shown(wavelength.tolist())}"
+            f"key `calibration.wavelength_nm`: expected nm, increasing, found {shown(wavelength.tolist())}"
         )
     if len(rows) not in (1, times) or any(len(row) != wavelength.size for row in rows):
         raise ValueError(

@@ -287,9 +287,7 @@ class ChainDescent(optx.AbstractDescent):
         change = moved(held)
         # a logistic curve is straight for about this far
         bounded = jax.tree.map(
-            lambda d, limit: jnp.where(jnp.isfinite(limit), jnp.clip(d, -self.longest, self.longest), d),
-            change,
-            self.limit,
+            lambda d, limit: jnp.where(jnp.isfinite(limit), jnp.clip(d, -self.longest, self.longest), d), change, self.limit
         )
         return jax.tree.map(lambda p, d, limit: jnp.clip(p + d, -limit, limit) - p, state.point, bounded, self.limit)
 

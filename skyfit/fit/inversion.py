@@ -209,7 +209,7 @@ class Plan:
         )  # fmt: skip
 
     def _row(self, t: int, index: int, part: Estimate, order: np.ndarray) -> dict:
-        values, change = _ordered_lobes(self.free, np.asarray(part.values[index], float)[order])
+        values, change = _ordered_lobes(self.free, self.setup.shared, np.asarray(part.values[index], float)[order])
         noise, model = (
             _turned(change, np.asarray(v[index], float)[np.ix_(order, order)]) for v in (part.noise, part.model)
         )
@@ -267,10 +267,12 @@ _WORDS = ("result", "undetermined")
 _LOBES = ("asymmetry", "asymmetry_second", "forward_fraction")
 
 
-def _ordered_lobes(free: tuple[str, ...], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ordered_lobes(free: tuple[str, ...], shared: tuple[str, ...], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The values with the narrower lobe first, which is the same phase function, and the matrix of that change."""
     change = np.eye(len(free))
-    if not set(_LOBES) <= set(free):
+    phase = set(free) & {*_LOBES, "forward_fraction_slope"}
+    # lobes of which only one is shared cannot change places at some of the times
+    if not set(_LOBES) <= phase or phase & set(shared) not in (set(), phase):
         return values, change
     first, second, share = (free.index(name) for name in _LOBES)
     if not values[first] < values[second]:
