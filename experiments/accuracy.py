@@ -7,7 +7,6 @@ Writes experiments/results/accuracy.json; parts whose inputs are absent keep the
 """
 
 import argparse
-import csv
 import importlib.metadata
 import json
 import pathlib

@@ -26,10 +26,10 @@ import scipy.optimize
 
 import skyfit
 from skyfit.fit import DEFAULT_FREE, Measurement
-from skyfit.fit.estimate import bound
 from skyfit.fit.inversion import Plan
 from skyfit.fit.parameters import start_model, with_values
 from skyfit.fit.problem import observe
+from skyfit.fit.residuals import bound
 from skyfit.scene import as_float
 
 

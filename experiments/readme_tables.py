@@ -67,8 +67,8 @@ def inverted(measured: dict, recovery: dict, speed: dict, many: dict) -> str:
         f"| Preetham 1999, not fitted | {peers['preetham']['all']:.1f} | {peers['preetham']['beyond_20']:.1f} |",
         f"| the data against their own mirror image | | {measured['asymmetry']:.1f} |",
         "",
-        f"Held out over all is ruled by one direction 4-8° from the sun a scan, whose pointing the others do not tell to a "
-        f"degree; beyond 10° it is {middle['held_out_beyond_10']:.2f}.",
+        "Held out over all is ruled by one direction 4-8° from the sun a scan, whose pointing the others do not tell "
+        f"to a degree; beyond 10° it is {middle['held_out_beyond_10']:.2f}.",
         "",
         "| 100 skies of sasktran2, 1 % noise, 240 samples | within | of them | within 2 sigma | largest sigma |",
         "|---|---|---|---|---|",
