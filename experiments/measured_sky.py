@@ -58,7 +58,7 @@ def rms(values: np.ndarray) -> float:
 
 
 def asymmetry(sky: skyfit.Sky) -> float:
-    """What the data differ by from their own mirror image about the sun's azimuth, over sqrt 2: no model does better."""
+    """What the data differ by from their own mirror image about the sun's azimuth, over sqrt 2: no model is better."""
     scored = sky.select(GRID)
     off = []
     for t in range(len(sky.time)):

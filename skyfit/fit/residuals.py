@@ -78,7 +78,7 @@ def whitened(problem: Problem, known: Known, calibration, scale):
     model = known.radiance * calibration[None, None]
     weight = (problem.weight / scale[:, None, None]).reshape(model.shape[0], -1)
     residual = (model - problem.measured).reshape(model.shape[0], -1)
-    if known.direct is None:
+    if known.direct is None or problem.direct is None or problem.direct_weight is None:
         return residual * weight, weight
     direct = (known.direct - problem.direct) * problem.direct_weight / scale[:, None]
     weights = jnp.concatenate([weight, problem.direct_weight / scale[:, None]], axis=1)
