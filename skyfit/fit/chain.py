@@ -329,6 +329,6 @@ def minimise(rows, point: Point, arguments, limit: Point, linear: int, max_steps
     in `ChainDescent`.
     **Returns:** the point, what `rows` knew at it, the number of steps and optimistix' result; nothing is raised.
     """
-    solver = ChainMarquardt(ChainDescent(limit, linear))
+    solver = ChainMarquardt(descent=ChainDescent(limit, linear))
     solution = optx.least_squares(rows, solver, point, arguments, has_aux=True, max_steps=max_steps, throw=False)
     return solution.value, solution.state.aux, solution.stats["num_steps"], solution.result

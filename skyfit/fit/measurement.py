@@ -29,8 +29,8 @@ class Measurement:
     - `calibration`: standard deviation of the scale of each wavelength, which all times share and the fit finds with
       this prior; 0: exact. None: 0 if the noise is given, by the file or here, else 0.01.
     - `model_error`: relative size of each of the smooth errors of the model that `sigma` allows for (`error_shapes`):
-      by comparison with other solvers 0.006 for leaving polarisation out and 0.003 for a haze at another height; for skies
-      that a scalar solver made, of known haze height, 0.001 (flat: 0.0005; drafts 0.004 and 0.002).
+      by comparison with other solvers 0.006 for leaving polarisation out and 0.003 for a haze at another height; for
+      skies that a scalar solver made, of known haze height, 0.001 (flat: 0.0005; drafts 0.004 and 0.002).
     - `field_of_view`: full cone angle of what the instrument sees, radians; 0: a ray.
     - `loss`: of a residual beyond `threshold` standard deviations: "squares", "huber" (linear) or "cauchy"
       (logarithmic), against clouds, masts and flare.

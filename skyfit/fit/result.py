@@ -33,7 +33,8 @@ class Fit:
     - `values`, `sigma`, `at_bound`, `determined` are `[time, parameter]` in the order of `free`, units as in
       `PARAMETERS`; `covariance` `[time, parameter, parameter]`. Those of `shared` are the same at all times
     - `sigma` holds noise, `scale` `[time]` times what was stated where the residuals are larger, priors, and
-      `model_sigma`, the part of the model's stated error; `reduced_chi_square` `[time]` is of all samples and the stated noise
+      `model_sigma`, the part of the model's stated error; `reduced_chi_square` `[time]` is of all samples and
+      the stated noise
     - `model` is what the instrument would read of the fitted sky on the input's times, directions and wavelengths;
       `rmse` `[time]` is over usable samples, W m^-2 sr^-1 nm^-1
     - `weight` `[time, direction, fitted wavelength]`: 1, less for samples that the loss trusts less, NaN where not used
