@@ -82,7 +82,7 @@ def _write_field(fit: Fit, part: Path) -> None:
 
     everywhere, fitted = ("time", "direction", "wavelength"), ("time", "direction", "fitted_wavelength")
     residual = np.where(fit.used, fit.residual, np.nan)
-    variables = {
+    variables: dict[str, tuple] = {
         "model": (everywhere, fit.model, {"units": RADIANCE, "long_name": "fitted spectral radiance"}),
         "residual": (everywhere, residual, {"units": RADIANCE, "long_name": "model minus radiance where it was used"}),
         "weight": (fitted, fit.weight, {"units": "1", "long_name": "trust of the loss in the sample"}),

@@ -167,6 +167,19 @@ def read_directions(
     return np.deg2rad(zenith), np.deg2rad(azimuth)
 
 
+def read_numbers(path: Path) -> tuple[list[str], Float[np.ndarray, "row column"]]:
+    """The header and the numbers of a CSV of numbers alone.
+
+    **Valid** a cell that is no finite number is a `ValueError` with its row.
+    """
+    header, _, rows = _open(path)
+    numbers = [
+        [_number(path.name, line, key, cell, None) for key, cell in zip(header, cells, strict=True)]
+        for line, cells in rows
+    ]
+    return header, np.array(numbers).reshape(-1, len(header))
+
+
 def _open(path):
     """Header, `# key: value` comments and (line number, cells) of the rows, all checked."""
     name = path.name
