@@ -30,6 +30,7 @@ from .files import (
     read as read,
     read_coefficients as read_coefficients,
     read_fits as read_fits,
+    read_response as read_response,
     save as save,
     write_sky as write_sky,
 )

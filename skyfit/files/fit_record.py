@@ -74,7 +74,8 @@ def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) ->
     seen = (sky.view_zenith <= 0.5 * np.pi)[None, :, None]
     usable = np.isfinite(radiance) & (radiance >= 0.0) & seen
     notes = (f"predicted by skyfit for the samples of {sky.source}",)
-    write_sky(replace(sky, radiance=radiance, sigma=None, usable=usable, masked={}, notes=notes), path)
+    predicted = {"radiance": radiance, "sigma": None, "usable": usable, "direct_irradiance": None, "direct_sigma": None}
+    write_sky(replace(sky, **predicted, masked={}, notes=notes), path)
 
 
 def _write_field(fit: Fit, part: Path) -> None:
