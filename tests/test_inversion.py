@@ -26,7 +26,7 @@ DEMO = (
 @pytest.fixture(scope="session")
 def sample_fit(checkout):
     with jax.enable_x64(True):
-        return skyfit.invert(skyfit.read(checkout / "data" / "skies" / "sample.nc"), DEMO)
+        return skyfit.invert(skyfit.read(checkout / "data" / "skies" / "sample.nc"), DEMO, measurement=EXACT)
 
 
 @pytest.fixture(scope="session")
