@@ -25,9 +25,11 @@ from .atmosphere import (
 )
 from .draw import plot as plot
 from .files import (
+    fit_many as fit_many,
     load as load,
     read as read,
     read_coefficients as read_coefficients,
+    read_fits as read_fits,
     save as save,
     write_sky as write_sky,
 )
@@ -35,6 +37,7 @@ from .fit import (
     fisher_information as fisher_information,
     Fit as Fit,
     fit_perez as fit_perez,
+    Fits as Fits,
     invert as invert,
     Measurement as Measurement,
     next_directions as next_directions,

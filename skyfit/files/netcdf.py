@@ -33,7 +33,7 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
 
     **Valid** units W m-2 sr-1 nm-1 in any common spelling; mW, um, cm are converted, with a note.
     """
-    data = _load(path)
+    data = load_dataset(path)
     name = path.name
     _require(name, data)
     radiance, factor, notes = _radiance(name, data)
@@ -75,7 +75,8 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
     )
 
 
-def _load(path):
+def load_dataset(path: Path):
+    """All of a NetCDF file in memory, as an `xarray.Dataset`; a one-line `ValueError` where it is none or damaged."""
     import xarray
 
     with open(path, "rb") as stream:

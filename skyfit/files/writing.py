@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import metadata
 from pathlib import Path
 from uuid import uuid4
 
@@ -59,3 +60,11 @@ def write_sky(sky: Sky, path: str | os.PathLike) -> None:
             writer(sky, part)
         except ValueError as error:
             raise ValueError(f"{target.name}: {error}") from error
+
+
+def skyfit_version() -> str | None:
+    """The installed version of the package, None for a bare checkout."""
+    try:
+        return metadata.version("skyfit")
+    except metadata.PackageNotFoundError:
+        return None

@@ -5,6 +5,7 @@ from .inversion import (
     simulate as simulate,
     SLOW as SLOW,
 )
+from .many import Fits as Fits
 from .measurement import Measurement as Measurement, Response as Response
 from .parameters import (
     check_free as check_free,

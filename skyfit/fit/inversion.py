@@ -1,6 +1,7 @@
 """From a measured sky to the parameters of its atmosphere."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -8,14 +9,15 @@ import numpy as np
 from ..scene import as_float, Scene, Sky, STATION_RANGES
 from ..transport import AbstractSolver, OrdersOfScattering
 from .chain import Point
-from .estimate import Estimate, estimate, Priors, Setup
+from .estimate import Estimate, estimate
 from .guess import first_guess
 from .measurement import Measurement, Response
 from .oddities import examine
 from .parameters import check_free, PARAMETERS, partition, SkyModel, start_model, values_of, with_values
 from .plausible import doubts, poor_fit
 from .problem import Sampling, SPECTRUM_NM, station_pressure
-from .result import Fit, Fitted, in_words
+from .residuals import Priors, Setup
+from .result import Fit, Fitted, in_words, is_determined
 from .solve import result_name
 
 
@@ -58,15 +60,16 @@ def invert(
     **Arguments**
 
     - `sky` (`skyfit.read`); `free`, names among `PARAMETERS`; `solver`, default `OrdersOfScattering.normal()`
-    - `start`: the values that are not fitted, and those of the free ones where the search begins; with `guess` the haze's
-      optical depth and exponent begin where single scattering explains the sky best; `starts` - 1 random ones besides
+    - `start`: the values that are not fitted, and those of the free ones where the search begins; with `guess` the
+      haze's begin where single scattering explains the sky best; `starts` - 1 random ones besides
     - `fwhm_nm`: line shape (default: the file's, or estimated from the solar lines); `response`: channels of a camera
     - `shared`: free names that all times have in common (`SLOW` names those that do not change within a day); none:
       each time is fitted by itself
     - `measurement`: noise, calibration, field of view, outliers (`Measurement`)
     - `priors`: name -> (value, sigma) in the parameter's unit; of a positive parameter sigma / value is that of its
       logarithm. `smooth`: name -> sigma of its change within an hour, on the same scale, for names that are not shared
-    - `draft`: solver of the first steps (default: the draft of the default solver; else `solver` itself)
+    - `draft`: solver of the first steps and of the slopes throughout (default: `OrdersOfScattering.scout` for
+      `OrdersOfScattering`; else `solver` itself)
     - `max_steps` of Levenberg-Marquardt each; `progress(done, of)` is called after each time that is fitted by itself
 
     **Returns:** a `Fit`. Sigma is that of noise (widened where the residuals exceed it), priors included, and of the
@@ -75,6 +78,7 @@ def invert(
     **Errors:** `ValueError` for unknown or contradicting names, or a sky with too few usable samples.
     """
     plan = Plan(sky, free, solver, start, fwhm_nm, max_steps, shared, measurement, response, priors, smooth, draft)
+    plan.check()
     times = len(sky.time)
     groups = [np.arange(times)] if plan.setup.shared or plan.linked else [np.array([t]) for t in range(times)]
     parts = []
@@ -94,9 +98,11 @@ class Plan:
     ):  # fmt: skip
         self.sky, self.free, shared = sky, tuple(free), tuple(shared)
         self.measurement = Measurement() if measurement is None else measurement
-        if solver is None:
-            solver, draft = OrdersOfScattering.normal(), OrdersOfScattering.draft() if draft is None else draft
-        self.solver, self.draft = solver, solver if draft is None else draft
+        self.solver = OrdersOfScattering.normal() if solver is None else solver
+        if draft is None:
+            whole = isinstance(self.solver, OrdersOfScattering)
+            draft = OrdersOfScattering.scout(self.solver.geometry) if whole else self.solver
+        self.draft = draft
         pressure, assumed = station_pressure(sky)
         self.start = start_model(self.free, pressure) if start is None else start
         check_free(self.free, self.start)
@@ -121,23 +127,34 @@ class Plan:
         )  # fmt: skip
         # a single time has no neighbour, and nothing to share
         self.linked = bool(self.smooth) and len(sky.time) > 1
-        self._check_samples()
-        if response is None:
-            self.sampling.notes += examine(sky, self.sampling.used)
         self.problem, self.places = self.sampling.problem(self.chosen, self.measurement)
         _, self.fixed = partition(self.start, self.free)
         self.prior_rows = self._prior_rows(calibration)
 
-    def _check_samples(self) -> None:
-        sky, used = self.sky, self.sampling.used[:, :, self.chosen]
-        for t in range(len(sky.time)):
-            count = int(used[t].sum())
-            if count < len(self.free):
+    def flaws(self) -> list[str]:
+        """Why each time cannot be fitted: "no_samples", "too_few_samples", "sun_below_horizon", or "" if it can."""
+        counts = self.sampling.used[:, :, self.chosen].sum(axis=(1, 2))
+        up = self.sky.sun_zenith < 0.5 * np.pi
+        return [
+            "sun_below_horizon" if not up[t]
+            else "no_samples" if not counts[t]
+            else "too_few_samples" if counts[t] < len(self.free)
+            else ""
+            for t in range(len(counts))
+        ]  # fmt: skip
+
+    def check(self) -> None:
+        """A `ValueError` if any time cannot be fitted, or if all are no sky; what is odd goes into the notes."""
+        for t, flaw in enumerate(self.flaws()):
+            if flaw == "sun_below_horizon":
+                raise ValueError(f"`sky` has the sun at or below the horizon at time {t}: it cannot be inverted")
+            if flaw:
+                count = int(self.sampling.used[t][:, self.chosen].sum())
                 raise ValueError(
                     f"`sky` has {count} usable samples at time {t}, fewer than the {len(self.free)} free parameters"
                 )
-            if not sky.sun_zenith[t] < 0.5 * np.pi:
-                raise ValueError(f"`sky` has the sun at or below the horizon at time {t}: it cannot be inverted")
+        if self.sampling.response is None:
+            self.sampling.notes += examine(self.sky, self.sampling.used)
 
     def _prior_rows(self, calibration: float) -> Priors:
         centre, weight = [], []
@@ -192,8 +209,8 @@ class Plan:
         for group, part in zip(groups, parts, strict=True):
             for index, t in enumerate(group):
                 rows[t] = self._row(int(t), index, part, order)
-        stack = {key: np.stack([row[key] for row in rows]) for key in rows[0] if key not in _WORDS}
-        words = {key: tuple(row[key] for row in rows) for key in _WORDS}
+        stack: dict[str, Any] = {key: np.stack([row[key] for row in rows]) for key in rows[0] if key not in _WORDS}
+        words: dict[str, Any] = {key: tuple(row[key] for row in rows) for key in _WORDS}
         judged = sky, stack["model"], self.sampling.used
         notes = (*self.sampling.notes, *doubts(*judged, stack["reduced_chi_square"]))
         pairs = zip(words["result"], poor_fit(*judged), strict=True)
@@ -209,13 +226,10 @@ class Plan:
         )  # fmt: skip
 
     def _row(self, t: int, index: int, part: Estimate, order: np.ndarray) -> dict:
-        values, change = _ordered_lobes(self.free, np.asarray(part.values[index], float)[order])
-        noise, model = (
-            _turned(change, np.asarray(v[index], float)[np.ix_(order, order)]) for v in (part.noise, part.model)
+        found, change = described(
+            self.free, self.setup.shared, order, part.values[index], part.noise[index], part.model[index]
         )
-        covariance = noise + np.where(np.isfinite(noise), model, 0.0)
-        at_bound = np.array([PARAMETERS[n].at_bound(v) for n, v in zip(self.free, values, strict=True)])
-        sigma = np.sqrt(np.diag(covariance))
+        values = found["values"]
         result = result_name(part.result) if bool(part.finite) else "failed"
         calibration = np.asarray(part.calibration, float)
         fitted = with_values(self.fixed, self.free, as_float(values))
@@ -232,21 +246,13 @@ class Plan:
             "pq,qdw->pdw", change, np.asarray(part.gain[index], float)[order][:, held]
         )
         weight = np.where(used[:, self.chosen], weight, np.nan)
-        determined, sentences = in_words(
+        sentences = in_words(
             self.free,
-            values,
-            sigma,
+            found,
             np.asarray(part.triangle[index], float)[:, order] @ np.abs(change).T,
-            at_bound,
             self.priors,
         )
-        return {
-            "values": values,
-            "sigma": sigma,
-            "covariance": covariance,
-            "model_sigma": np.sqrt(np.diag(model)),
-            "at_bound": at_bound,
-            "determined": determined,
+        return found | {
             "model": reading,
             "rmse": float(np.sqrt(np.mean(error**2))),
             "reduced_chi_square": float(part.chi_square[index]),
@@ -263,14 +269,39 @@ class Plan:
         }
 
 
+def described(
+    free: tuple[str, ...], shared: tuple[str, ...], order: np.ndarray, values, noise, model
+) -> tuple[dict, np.ndarray]:
+    """What an estimate says of the parameters of one time, in the order in which the user named them.
+
+    **Arguments:** `order`, the place of each free name in the arrays; `values`, covariances `noise` and `model`.
+    **Returns:** values, sigma, covariance, model_sigma, at_bound, determined; the change that orders the lobes.
+    """
+    values, change = _ordered_lobes(free, shared, np.asarray(values, float)[order])
+    noise, model = (_turned(change, np.asarray(v, float)[np.ix_(order, order)]) for v in (noise, model))
+    covariance = noise + np.where(np.isfinite(noise), model, 0.0)
+    sigma = np.sqrt(np.diag(covariance))
+    found = {
+        "values": values,
+        "sigma": sigma,
+        "covariance": covariance,
+        "model_sigma": np.sqrt(np.diag(model)),
+        "at_bound": np.array([PARAMETERS[n].at_bound(v) for n, v in zip(free, values, strict=True)]),
+        "determined": is_determined(free, values, sigma),
+    }
+    return found, change
+
+
 _WORDS = ("result", "undetermined")
 _LOBES = ("asymmetry", "asymmetry_second", "forward_fraction")
 
 
-def _ordered_lobes(free: tuple[str, ...], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ordered_lobes(free: tuple[str, ...], shared: tuple[str, ...], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The values with the narrower lobe first, which is the same phase function, and the matrix of that change."""
     change = np.eye(len(free))
-    if not set(_LOBES) <= set(free):
+    phase = set(free) & {*_LOBES, "forward_fraction_slope"}
+    # lobes of which only one is shared cannot change places at some of the times
+    if not set(_LOBES) <= phase or phase & set(shared) not in (set(), phase):
         return values, change
     first, second, share = (free.index(name) for name in _LOBES)
     if not values[first] < values[second]:
@@ -285,8 +316,8 @@ def _ordered_lobes(free: tuple[str, ...], values: np.ndarray) -> tuple[np.ndarra
 
 
 def _turned(change: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """The covariance after a signed permutation; infinite variances stay so."""
-    known = np.isfinite(covariance)
+    """The covariance after a signed permutation; infinite variances stay so, and what is not a number."""
+    known = ~np.isinf(covariance)
     turned = change @ np.where(known, covariance, 0.0) @ change.T
     return np.where(np.abs(change) @ (~known).astype(float) @ np.abs(change).T > 0.0, np.inf, turned)
 

@@ -8,7 +8,7 @@ from .result import time_names
 
 
 # root mean square residual by the mean radiance; the eight scans of 2013-05-27 have 0.06 to 0.09
-_POOR = 0.25
+POOR = 0.25
 # and by sigma: of a file that states it, and of the noise that is taken where it does not (0.02 and 0.03), by which
 # those scans have 1.6 to 2.7
 _LARGE_STATED, _LARGE_ASSUMED = 2.0, 3.0
@@ -28,19 +28,25 @@ def doubts(
     states it, 3 of the noise that is taken where it does not.
     """
     found = []
-    limit = _LARGE_ASSUMED if sky.sigma is None else _LARGE_STATED
     shares, poor = _share(sky, model, used), poor_fit(sky, model, used)
     for time, (share, chi_square) in enumerate(zip(shares, reduced_chi_square, strict=True)):
-        ratio = np.sqrt(chi_square)
         if poor[time]:
             left = f"{100.0 * share:.0f} % of the mean radiance" if np.isfinite(share) else "not finite"
             found.append(f"{at_time(sky, time)}poor fit, the residuals are {left}: neither values nor sigmas hold")
-        elif not ratio <= limit:
-            found.append(
-                f"{at_time(sky, time)}the residuals are {ratio:.3g} times their sigma: it is understated, or the model "
-                "lacks something that the error bars do not know"
-            )
+        else:
+            found += [at_time(sky, time) + sentence for sentence in beyond_sigma(sky, chi_square)]
     return tuple(found)
+
+
+def beyond_sigma(sky: Sky, reduced_chi_square: float) -> tuple[str, ...]:
+    """A sentence where the residuals of a time are far beyond the noise, as in `doubts`, else nothing."""
+    ratio = np.sqrt(reduced_chi_square)
+    if ratio <= (_LARGE_ASSUMED if sky.sigma is None else _LARGE_STATED):
+        return ()
+    return (
+        f"the residuals are {ratio:.3g} times their sigma: it is understated, or the model lacks something that the "
+        "error bars do not know",
+    )
 
 
 def poor_fit(
@@ -52,7 +58,7 @@ def poor_fit(
 
     **Arguments:** as `doubts`. **Returns:** `[time]`; a fit of which this is true is no success.
     """
-    return ~(_share(sky, model, used) <= _POOR)
+    return ~(_share(sky, model, used) <= POOR)
 
 
 def _share(sky: Sky, model, used):

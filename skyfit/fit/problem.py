@@ -152,7 +152,7 @@ class Sampling:
         """
         sky, used = self.sky, self.used
         sigma = measurement.sigma(sky, used)
-        held = used[:, :, chosen].any(axis=2)
+        held = np.asarray(np.any(used[:, :, chosen], axis=2))
         quarter = -(-held.shape[1] // _SIZES)
         most = min(held.shape[1], quarter * max(1, -(-int(held.sum(axis=1).max()) // quarter)))
         places = np.stack([np.resize(np.flatnonzero(h) if h.any() else [0], most) for h in held])
@@ -202,7 +202,7 @@ class Sampling:
         }
 
     def readings(self, solver: AbstractSolver, model: SkyModel, time: int) -> np.ndarray:
-        """The model at every direction and wavelength or channel, `[direction, wavelength]`; NaN where there is none."""
+        """The model in every direction, at each wavelength or channel, `[direction, wavelength]`; NaN beyond it."""
         sky = self.sky
         nothing = np.zeros((1, len(sky.view_zenith), 1))
         problem = Problem(

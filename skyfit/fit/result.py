@@ -32,12 +32,13 @@ class Fit:
 
     - `values`, `sigma`, `at_bound`, `determined` are `[time, parameter]` in the order of `free`, units as in
       `PARAMETERS`; `covariance` `[time, parameter, parameter]`. Those of `shared` are the same at all times
-    - `sigma` holds noise, `scale` `[time]` times what was stated where the residuals are larger, priors, and `model_sigma`,
-      the part of the model's stated error; `reduced_chi_square` `[time]` is of all samples and the stated noise
+    - `sigma` holds noise, `scale` `[time]` times what was stated where the residuals are larger, priors, and
+      `model_sigma`, the part of the model's stated error; `reduced_chi_square` `[time]` is of all samples and
+      the stated noise
     - `model` is what the instrument would read of the fitted sky on the input's times, directions and wavelengths;
       `rmse` `[time]` is over usable samples, W m^-2 sr^-1 nm^-1
     - `weight` `[time, direction, fitted wavelength]`: 1, less for samples that the loss trusts less, NaN where not used
-    - `gain` `[time, parameter, direction, fitted wavelength]`: change of a parameter by a change of a sample of its time
+    - `gain` `[time, parameter, direction, fitted wavelength]`: change of a parameter by that of a sample of its time
     - `calibration`, `calibration_sigma` `[time, fitted wavelength]`: the instrument's scale, 1 where it is not fitted
     - `degrees_of_freedom` `[time]`: how many parameters the data, not the priors, determine
     - `result` says how each solve ended; `undetermined` `[time]` names in words what the data leave open
@@ -136,21 +137,20 @@ _FROM_PRIOR = 0.7
 _PART = 0.35
 
 
-def in_words(
-    free: tuple[str, ...],
-    values: np.ndarray,
-    sigma: np.ndarray,
-    triangle: np.ndarray,
-    at_bound: np.ndarray,
-    priors: dict,
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Which parameters the data determine, `[parameter]`, and sentences on what they leave open.
-
-    **Arguments:** `triangle`, rows whose normal matrix is the inverse covariance of the parameters in units of their
-    `spread`: its small singular values are the weak directions.
-    """
+def is_determined(free: tuple[str, ...], values: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Whether the data determine each parameter: its sigma is well below its allowed range, or e-fold."""
     limit = np.array([_DETERMINED_SHARE * PARAMETERS[n].spread(v) for n, v in zip(free, values, strict=True)])
-    determined = np.isfinite(sigma) & (sigma < limit)
+    return np.isfinite(sigma) & (sigma < limit)
+
+
+def in_words(free: tuple[str, ...], found: dict, triangle: np.ndarray, priors: dict) -> tuple[str, ...]:
+    """Sentences on what the data leave open.
+
+    **Arguments:** `found`, with sigma, at_bound and determined, `[parameter]`; `triangle`, rows whose normal matrix is
+    the inverse covariance of the parameters in units of their `spread`: its small singular values are the weak
+    directions.
+    """
+    sigma, at_bound, determined = found["sigma"], found["at_bound"], found["determined"]
     sentences = [
         f"{name} is not determined by these data" for name, yes in zip(free, determined, strict=True) if not yes
     ]
@@ -168,7 +168,7 @@ def in_words(
             mixed = [free[i] for i in np.flatnonzero(np.abs(row) > _PART)]
             if value < 1.0 / _DETERMINED_SHARE and len(mixed) > 1:
                 sentences.append(f"only a combination is determined of {', '.join(mixed)}")
-    return determined, tuple(sentences)
+    return tuple(sentences)
 
 
 def time_names(sky: Sky) -> tuple[str, ...]:
