@@ -118,8 +118,9 @@ class Plan:
         self.chosen = self.sampling.chosen()
         if self.chosen.size == 0:
             raise ValueError(f"`sky` has no usable sample at {SPECTRUM_NM[0]:g}-{SPECTRUM_NM[1]:g} nm")
-        own = tuple(n for n in self.free if n not in shared)
-        shared = tuple(n for n in self.free if n in shared)
+        # in an order of their own: the same names in another one are the same program
+        own = tuple(n for n in PARAMETERS if n in self.free and n not in shared)
+        shared = tuple(n for n in PARAMETERS if n in shared)
         calibration = self.measurement.calibration_prior(sky)
         self.setup = Setup(
             own, shared, self.measurement.loss, self.measurement.threshold, self.measurement.model_error,
