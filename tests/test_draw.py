@@ -7,22 +7,20 @@ import numpy as np
 import pytest
 from matplotlib import pyplot
 from matplotlib.image import imread
-from skies import fit_of_made_sky
+from skies import fit_of_made_sky, MADE_FREE as FREE, MADE_SHARED
 
 from skyfit import hemisphere
 from skyfit.draw import plot, plot_skies
 from skyfit.draw.dome import cells, interpolated, pixels, place
 from skyfit.draw.domes import _pictures
-from skyfit.fit import Fit
-
-
-FREE = ("turbidity", "asymmetry")
+from skyfit.draw.fit_table import LINE, shared_height
+from skyfit.fit import Fit, Response
 
 
 @pytest.fixture(scope="session")
 def fit() -> Fit:
-    """A fit to a sky of the solver's own, with noise."""
-    return fit_of_made_sky(FREE, [3.2, 0.72], noise=0.05)
+    """A fit to a sky of the solver's own, with noise, as if its times shared nothing."""
+    return replace(fit_of_made_sky(), shared=())
 
 
 def picture_of(path) -> np.ndarray:
@@ -75,8 +73,8 @@ def test_a_page_holds_one_to_eight_times(fit, tmp_path, count):
     names = ("radiance", "usable", "sun_zenith", "sun_azimuth", "time")
     sky = replace(fit.sky, **{name: repeat(getattr(fit.sky, name)) for name in names})
     names = (
-        "values", "sigma", "covariance", "at_bound", "determined", "model", "used", "rmse",
-        "reduced_chi_square", "steps", "result", "undetermined",
+        "values", "sigma", "covariance", "model_sigma", "at_bound", "determined", "model", "used", "rmse",
+        "reduced_chi_square", "weight", "steps", "result", "undetermined",
     )  # fmt: skip
     plot(replace(fit, sky=sky, **{name: repeat(getattr(fit, name)) for name in names}), tmp_path / "fit.png")
     tall = picture_of(tmp_path / "fit.png").shape[0] / 150
@@ -94,14 +92,48 @@ def test_a_poor_fit_is_drawn(fit, tmp_path):
     )
     words = ("only a combination is determined of " + ", ".join(FREE * 4),) * 12
     poor = replace(
-        fit, sky=sky, used=sky.usable & (np.arange(4) == 1), sigma=np.full((2, 2), np.nan),
-        at_bound=np.ones((2, 2), bool), determined=np.zeros((2, 2), bool), undetermined=(words, ()),
+        fit, sky=sky, used=sky.usable & (np.arange(4) == 1), sigma=np.full((2, 4), np.nan),
+        at_bound=np.ones((2, 4), bool), determined=np.zeros((2, 4), bool), undetermined=(words, ()),
         fwhm_nm=float("nan"), result=("failed", "stopped"),
     )  # fmt: skip
     plot(poor, tmp_path / "poor.png")
     picture = picture_of(tmp_path / "poor.png")
     assert picture.shape[0] > 1500
     assert np.all(picture[:, -8:] == 1.0)
+
+
+def test_what_all_times_share_is_written_once(fit, tmp_path):
+    """In letters of the page as SVG, where text stays text."""
+    words = "only a combination is determined of turbidity, asymmetry"
+    with matplotlib.rc_context({"svg.fonttype": "none"}):
+        for shared in ((), MADE_SHARED):
+            told = replace(fit, shared=shared, undetermined=((words, "one thing"), (words,)))
+            plot(told, tmp_path / "fit.svg")
+            page = (tmp_path / "fit.svg").read_text()
+            assert page.count(">asymmetry<") == page.count(f">{words}<") == (1 if shared else 2)
+            assert page.count(">turbidity<") == 2 and page.count(">one thing<") == 1
+            assert page.count(">all times<") == len(shared)
+    assert shared_height(told) == pytest.approx(3 * LINE + 0.1) and shared_height(fit) == 0.0
+    plot(told, tmp_path / "fit.png")
+    tall = picture_of(tmp_path / "fit.png").shape[0] / 150
+    assert tall == pytest.approx(0.62 + 0.55 + 2 * 3.04 + 3 * LINE + 0.1, abs=0.02)
+
+
+def test_rejected_directions_are_crossed_out(fit, tmp_path):
+    weight = fit.weight.copy()
+    weight[0, [1, 5]] = 0.2
+    perfect = replace(fit, sky=replace(fit.sky, radiance=fit.model))
+    plot(replace(perfect, weight=weight), tmp_path / "fit.png")
+    # nothing else of a perfect fit's residual has a colour
+    magenta = [coloured(dome).sum() for dome in residual_domes(tmp_path / "fit.png")]
+    assert magenta[0] > 40 and magenta[1] == 0
+
+
+def test_channels_of_a_camera_are_drawn_in_their_unit(fit, tmp_path):
+    with matplotlib.rc_context({"svg.fonttype": "none"}):
+        plot(replace(fit, response=Response.xyz()), tmp_path / "fit.svg")
+    page = (tmp_path / "fit.svg").read_text()
+    assert "mean radiance, in the channels' unit" in page and " mW" not in page and ">mW" not in page
 
 
 @pytest.mark.parametrize("suffix", [".pdf", ".svg"])

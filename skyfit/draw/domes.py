@@ -1,21 +1,21 @@
 """Pictures of fitted and simulated skies."""
 
 import os
-import textwrap
 
 import numpy as np
 
-from ..fit import Fit, PARAMETERS, time_names
+from ..fit import Fit, time_names
 from ..light import srgb_from_xyz
 from ..scene import as_float, Directions
 from .dome import cells, draw_dome, interpolated, place
+from .fit_table import draw_shared, draw_table, lines, shared_height, table_height
 from .page import figure_maker, write_figure
 
 
 # a page holds no more times; of more, an even choice is drawn
 _MOST_ROWS = 8
-# inches, the width of a fit's page and the height of a line of its tables
-_WIDE, _LINE = 14.2, 0.152
+# inches, the width of a fit's page
+_WIDE = 14.2
 # nm, the wavelengths whose mean is drawn
 _BAND = (400.0, 700.0)
 # the mean of a sky's luminance in linear sRGB: a bright blue sky, white only around the sun
@@ -24,8 +24,7 @@ _GREY = 0.36
 _BLACK = 1e-6
 # per cent, where the colours of a luminance error end
 _MOST_ERROR = 50.0
-_MEASURED, _MODEL, _DIFFERENCE = "#1b1b1b", "#d55e00", "RdBu_r"
-_UNITS = {"1": "", "degree": "\N{DEGREE SIGN}"}
+_MEASURED, _MODEL, _DIFFERENCE, _REJECTED = "#1b1b1b", "#d55e00", "RdBu_r", "#e6007e"
 _UNIT = "mW m\u207b\u00b2 sr\u207b\u00b9 nm\u207b\u00b9"
 
 
@@ -33,15 +32,16 @@ def plot(fit: Fit, path: str | os.PathLike) -> None:
     """A picture of a fit: measured, model and residual domes, the mean spectrum and the parameters.
 
     **Arguments:** `fit`, from `skyfit.invert`; `path`, `*.png`, `*.pdf` or `*.svg`.
-    **Valid:** a row for each time, an even choice of 8 where there are more; a dome shows the mean over the
-    fitted wavelengths at 400-700 nm (all, if there are none). A failure leaves no file.
+    **Valid:** what all times share, then a row for each time, an even choice of 8 where there are more; a dome shows
+    the mean over the fitted wavelengths at 400-700 nm (all, if there are none). A failure leaves no file.
     """
     figure_of = figure_maker(path)
     count = len(fit.sky.time)
     rows = np.linspace(0, count - 1, min(count, _MOST_ROWS)).round().astype(int).tolist()
     # inches
-    top, bottom = 0.62, 0.55
-    heights = [max(3.04, 0.75 + _LINE * (len(fit.free) + len(_sentences(fit, t)))) for t in rows]
+    heading, bottom = 0.62, 0.55
+    top = heading + shared_height(fit)
+    heights = [max(3.04, 0.75 + table_height(fit, t)) for t in rows]
     tall = top + bottom + sum(heights)
     figure = figure_of((_WIDE, tall))
     band = _band(fit)
@@ -53,13 +53,14 @@ def plot(fit: Fit, path: str | os.PathLike) -> None:
     figure.text(0.012, 1.0 - 0.2 / tall, f"{fit.sky.source or 'sky'}{shown}", fontsize=12, va="center",
                 weight="bold")  # fmt: skip
     figure.text(0.012, 1.0 - 0.43 / tall, _settings(fit), fontsize=8.5, va="center", color="#555555")
+    draw_shared(figure, fit, 0.012 * _WIDE, tall - heading - 0.05)
     ends = np.unique(fit.sky.wavelength_nm[band][[0, -1]])
     ends = "-".join(f"{end:g}" for end in ends)
     caption = (
         f"Domes: mean radiance of the fitted samples at {ends} nm, as on a map: zenith in the "
         "middle, north up, azimuth clockwise (east right), rings at 30 and 60\N{DEGREE SIGN} from it.\n"
-        "Dots: measured directions; hollow: masked. Ringed dot: the sun. Residual: model minus measured, "
-        "per cent of that time's measured mean."
+        "Dots: measured directions; hollow: masked; crosses: rejected as outliers. Ringed dot: the sun. Residual: "
+        "model minus measured, per cent of that time's measured mean."
     )
     figure.text(0.012, 0.12 / tall, caption, fontsize=8, va="bottom", color="#555555", linespacing=1.35)
     write_figure(figure, path)
@@ -104,7 +105,7 @@ def plot_skies(
     image = None
     for r, ((label, skies), where) in enumerate(zip(rows, sun, strict=True)):
         y = (bottom + side * (len(rows) - 1 - r)) / tall
-        figure.text(0.12 / wide, y + 0.5 * side / tall, _lines(label, 21), fontsize=9, va="center")
+        figure.text(0.12 / wide, y + 0.5 * side / tall, lines(label, 21), fontsize=9, va="center")
         exposure = _GREY / max(float(np.mean(np.asarray(skies[names[0]])[:, 1])), 1e-30)
         for c, column in enumerate(columns):
             box = ((left + side * c) / wide, y, side / wide, side / tall)
@@ -138,10 +139,16 @@ def _band(fit: Fit) -> np.ndarray:
 
 def _settings(fit: Fit) -> str:
     width = f"line shape {fit.fwhm_nm:g} nm FWHM" if np.isfinite(fit.fwhm_nm) else "no line shape"
+    factor, unit = _unit(fit)
     return (
         f"{type(fit.solver).__name__}, {fit.solver.geometry}; {width}; {np.sum(fit.used)} samples; "
-        f"rmse {1e3 * fit.total_rmse:.3g} {_UNIT}"
+        f"rmse {factor * fit.total_rmse:.3g} {unit}"
     )
+
+
+def _unit(fit: Fit) -> tuple[float, str]:
+    """The factor to the unit that is drawn, and its name: mW of radiance, or what a camera's channels are in."""
+    return (1e3, _UNIT) if fit.response is None else (1.0, "in the channels' unit")
 
 
 def _draw_row(figure, fit: Fit, t: int, band, base: float, height: float, tall: float) -> None:
@@ -166,10 +173,11 @@ def _draw_row(figure, fit: Fit, t: int, band, base: float, height: float, tall: 
     rule.set_axis_off()
     rule.axhline(0.5, color="#cccccc", linewidth=0.8)
     figure.text(0.16 / _WIDE, (top - 0.2) / tall, _title(fit, t), fontsize=9, va="center")
-    radiance = {"cmap": "viridis", "norm": _norm(1e3 * np.concatenate([measured, model]))}
+    factor, unit = _unit(fit)
+    radiance = {"cmap": "viridis", "norm": _norm(factor * np.concatenate([measured, model]))}
     panels = (
-        ("measured", 1e3 * measured, kept, radiance),
-        ("model", 1e3 * model, np.isfinite(model), radiance),
+        ("measured", factor * measured, kept, radiance),
+        ("model", factor * model, np.isfinite(model), radiance),
         ("residual", difference, kept, {"cmap": _DIFFERENCE, "vmin": -limit, "vmax": limit}),
     )
     images = []
@@ -179,11 +187,14 @@ def _draw_row(figure, fit: Fit, t: int, band, base: float, height: float, tall: 
         picture = np.where(nearest >= 0, values[nearest], np.nan)
         images.append(draw_dome(axes, picture, sun, **style))
         _draw_samples(axes, sky, whole, "#777777" if name == "residual" else "white")
+        if name != "model":
+            x, y = place(sky.view_zenith[fit.rejected[t]], sky.view_azimuth[fit.rejected[t]])
+            axes.plot(x, y, "x", markersize=5.0, markeredgewidth=1.1, color=_REJECTED, zorder=4)
     bar_y = top - 0.6 - side
-    _bar(figure, images[0], box(0.6, bar_y, 2.0 * side - 0.9, 0.07), _UNIT)
+    _bar(figure, images[0], box(0.6, bar_y, 2.0 * side - 0.9, 0.07), unit)
     _bar(figure, images[2], box(0.12 + 2.0 * (side + 0.06) + 0.3, bar_y, side - 0.6, 0.07), "%")
     _draw_spectra(box(7.15, top - 0.45 - side, 2.3, side - 0.12), fit, t)
-    _draw_table(box(9.75, base, _WIDE - 9.85, height - 0.24), fit, t)
+    draw_table(box(9.75, base, _WIDE - 9.85, height - 0.24), fit, t)
 
 
 def _title(fit: Fit, t: int) -> str:
@@ -192,7 +203,8 @@ def _title(fit: Fit, t: int) -> str:
     return (
         f"{time_names(sky)[t].replace('T', ' ').removesuffix('Z')}{'' if np.isnat(sky.time[t]) else ' UTC'}"
         f"    sun zenith {degrees[0]:.1f}\N{DEGREE SIGN}, azimuth {degrees[1]:.1f}\N{DEGREE SIGN}"
-        f"    {fit.result[t]}, {fit.steps[t]} steps    rmse {1e3 * fit.rmse[t]:.3g} mW"
+        f"    {fit.result[t]}, {fit.steps[t]} steps    rmse {_unit(fit)[0] * fit.rmse[t]:.3g}"
+        f"{' mW' if fit.response is None else ''}"
         f"    reduced chi-square {fit.reduced_chi_square[t]:.2g}"
     )
 
@@ -249,71 +261,23 @@ def _draw_spectra(axes, fit: Fit, t: int) -> None:
     count = np.where(used.any(axis=0), used.sum(axis=0), 1)
     wavelength = fit.sky.wavelength_nm
     many, peak = len(wavelength) > 80, 0.0
+    factor, unit = _unit(fit)
     dots = {"color": _MEASURED, "marker": "o", "markersize": 1.5 if many else 3.5, "linewidth": 0.0}
     line = {"color": _MODEL, "marker": ".", "markersize": 1.0 if many else 2.5, "linewidth": 1.1}
     for name, values, style in (("measured", fit.sky.radiance[t], dots), ("model", fit.model[t], line)):
         mean = np.where(used.any(axis=0), np.where(used, values, 0.0).sum(axis=0) / count, np.nan)
-        axes.plot(wavelength, 1e3 * mean, label=name, **style)
-        peak = max(peak, 1e3 * float(np.nanmax(mean)))
+        axes.plot(wavelength, factor * mean, label=name, **style)
+        peak = max(peak, factor * float(np.nanmax(mean)))
     axes.set_ylim(0.0, 1.15 * max(peak, 1e-30))
     axes.tick_params(labelsize=7.5, length=2.5, width=0.6)
     axes.set_xlabel("wavelength, nm", fontsize=8, labelpad=1.5)
-    axes.set_title(f"mean radiance, {_UNIT}", fontsize=8, loc="left", pad=4)
+    axes.set_title(f"mean radiance, {unit}", fontsize=8, loc="left", pad=4)
     axes.legend(fontsize=7.5, frameon=False, loc="best", handlelength=1.4)
     axes.grid(linewidth=0.4, color="#dddddd")
     axes.set_axisbelow(True)
     for name, spine in axes.spines.items():
         spine.set_visible(name in ("left", "bottom"))
         spine.set_linewidth(0.6)
-
-
-def _draw_table(axes, fit: Fit, t: int) -> None:
-    axes.set_axis_off()
-    tall = axes.get_position().height * axes.figure.get_size_inches()[1]
-    # inches below the top
-    y = 0.3
-
-    def write(x, text, **style):
-        axes.text(x, 1.0 - y / tall, text, transform=axes.transAxes, fontsize=8, va="center", **style)
-
-    write(0.0, "parameter", weight="bold")
-    write(0.50, "value", weight="bold", ha="right")
-    write(0.525, "\u00b1 sigma", weight="bold")
-    for p, name in enumerate(fit.free):
-        y += _LINE
-        value, sigma = fit.values[t, p], fit.sigma[t, p]
-        sure = bool(fit.determined[t, p])
-        colour = _MEASURED if sure and not fit.at_bound[t, p] else "#a0522d"
-        write(0.0, name.replace("_", " "), color=colour)
-        decimals = _decimals(sigma)
-        shown = f"{value:.{decimals}f}" if decimals is not None else f"{value:.3g}"
-        write(0.50, shown.replace("-", "\u2212"), ha="right", color=colour)
-        spread = f"{sigma:.{decimals}f}" if decimals is not None else f"{sigma:.2g}"
-        spread = spread if np.isfinite(sigma) else "\u2014"
-        unit = _UNITS.get(PARAMETERS[name].unit, f" {PARAMETERS[name].unit}")
-        flags = ", ".join(text for text, yes in (("at bound", fit.at_bound[t, p]), ("undetermined", not sure)) if yes)
-        write(0.525, f"\u00b1 {spread}{unit}  {flags}", color=colour)
-    for sentence in _sentences(fit, t):
-        y += _LINE
-        write(0.0, sentence, color="#a0522d", style="italic")
-
-
-def _decimals(sigma: float) -> int | None:
-    """Decimals that show two digits of sigma, None where that makes no sense."""
-    if not np.isfinite(sigma) or not 1e-5 < sigma < 1e3:
-        return None
-    return int(np.clip(1 - np.floor(np.log10(sigma)), 0, 6))
-
-
-def _sentences(fit: Fit, t: int) -> list[str]:
-    """What is left open and not said by the flags, in lines short enough for the table."""
-    told = [s for s in fit.undetermined[t] if not s.endswith("is not determined by these data")]
-    return [line for s in told for line in _lines(s.replace("_", " "), 58).split("\n")]
-
-
-def _lines(text: str, width: int) -> str:
-    """The text with its own line breaks, and more where a line would be longer than `width`."""
-    return "\n".join(textwrap.fill(line, width) for line in text.split("\n"))
 
 
 def _pictures(zenith, azimuth, rows: list[list[np.ndarray]]) -> list[list[np.ndarray]]:

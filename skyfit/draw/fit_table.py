@@ -1,0 +1,135 @@
+"""The parameters of a fit as text on its page: those of all times once, those of each time beside its domes."""
+
+import math
+import textwrap
+from typing import NamedTuple
+
+import numpy as np
+
+from ..fit import Fit, PARAMETERS
+
+
+# inches, the height of a line and the width of an entry of what all times share
+LINE, _ENTRY = 0.152, 4.6
+# letters of a sentence's line beside the domes
+_NARROW = 58
+_SURE, _OPEN = "#1b1b1b", "#a0522d"
+_UNITS = {"1": "", "degree": "\N{DEGREE SIGN}"}
+_MINUS = "\u2212"
+
+
+class _Entry(NamedTuple):
+    name: str
+    value: str
+    spread: str
+    colour: str
+
+
+def lines(text: str, width: int) -> str:
+    """The text with its own line breaks, and more where a line would be longer than `width`."""
+    return "\n".join(textwrap.fill(line, width) for line in text.split("\n"))
+
+
+def shared_height(fit: Fit) -> float:
+    """Inches that `draw_shared` takes."""
+    if not fit.shared:
+        return 0.0
+    return LINE * (1 + math.ceil(len(fit.shared) / 3) + len(_common_sentences(fit))) + 0.1
+
+
+def draw_shared(figure, fit: Fit, left: float, y: float) -> None:
+    """What all times have in common, three parameters a line, and what the data leave open at all of them.
+
+    **Arguments:** `left`, `y`, inches from the left and to the bottom of the figure, where the block begins.
+    """
+    if not fit.shared:
+        return
+    wide, tall = figure.get_size_inches()
+
+    def write(x, text, **style):
+        figure.text((left + x) / wide, y / tall, text, fontsize=8, va="center", **style)
+
+    write(0.0, "all times", weight="bold")
+    for place, name in enumerate(fit.shared):
+        if place % 3 == 0:
+            y -= LINE
+        entry, x = _entry(fit, 0, fit.free.index(name)), _ENTRY * (place % 3)
+        write(x, entry.name, color=entry.colour)
+        write(x + 2.35, entry.value, ha="right", color=entry.colour)
+        write(x + 2.42, entry.spread, color=entry.colour)
+    for sentence in _common_sentences(fit):
+        y -= LINE
+        write(0.0, sentence.replace("_", " "), color=_OPEN, style="italic")
+
+
+def table_height(fit: Fit, t: int) -> float:
+    """Inches below the first line of `draw_table`."""
+    return LINE * (len(fit.free) - len(fit.shared) + len(_own_sentences(fit, t)))
+
+
+def draw_table(axes, fit: Fit, t: int) -> None:
+    """The parameters of one time, and what its data leave open."""
+    axes.set_axis_off()
+    tall = axes.get_position().height * axes.figure.get_size_inches()[1]
+    # inches below the top
+    y = 0.3
+
+    def write(x, text, **style):
+        axes.text(x, 1.0 - y / tall, text, transform=axes.transAxes, fontsize=8, va="center", **style)
+
+    write(0.0, "parameter", weight="bold")
+    write(0.50, "value", weight="bold", ha="right")
+    write(0.525, "\N{PLUS-MINUS SIGN} sigma", weight="bold")
+    for p, name in enumerate(fit.free):
+        if name in fit.shared:
+            continue
+        y += LINE
+        entry = _entry(fit, t, p)
+        write(0.0, entry.name, color=entry.colour)
+        write(0.50, entry.value, ha="right", color=entry.colour)
+        write(0.525, entry.spread, color=entry.colour)
+    for sentence in _own_sentences(fit, t):
+        y += LINE
+        write(0.0, sentence, color=_OPEN, style="italic")
+
+
+def _entry(fit: Fit, t: int, p: int) -> _Entry:
+    value, sigma, sure = fit.values[t, p], fit.sigma[t, p], bool(fit.determined[t, p])
+    decimals = _decimals(sigma)
+    shown = f"{value:.{decimals}f}" if decimals is not None else f"{value:.3g}"
+    spread = f"{sigma:.{decimals}f}" if decimals is not None else f"{sigma:.2g}"
+    spread = spread if np.isfinite(sigma) else "\N{EM DASH}"
+    unit = _UNITS.get(PARAMETERS[fit.free[p]].unit, f" {PARAMETERS[fit.free[p]].unit}")
+    flags = ", ".join(text for text, yes in (("at bound", fit.at_bound[t, p]), ("undetermined", not sure)) if yes)
+    return _Entry(
+        fit.free[p].replace("_", " "),
+        shown.replace("-", _MINUS),
+        f"\N{PLUS-MINUS SIGN} {spread}{unit}  {flags}",
+        _SURE if sure and not fit.at_bound[t, p] else _OPEN,
+    )
+
+
+def _decimals(sigma: float) -> int | None:
+    """Decimals that show two digits of sigma, None where that makes no sense."""
+    if not np.isfinite(sigma) or not 1e-5 < sigma < 1e3:
+        return None
+    return int(np.clip(1 - np.floor(np.log10(sigma)), 0, 6))
+
+
+def _told(fit: Fit, t: int) -> list[str]:
+    """What is left open at a time and not said by the flags."""
+    return [s for s in fit.undetermined[t] if not s.endswith("is not determined by these data")]
+
+
+def _common_sentences(fit: Fit) -> list[str]:
+    """What is left open at all times, where they share anything."""
+    if not fit.shared:
+        return []
+    return [s for s in _told(fit, 0) if all(s in sentences for sentences in fit.undetermined)]
+
+
+def _own_sentences(fit: Fit, t: int) -> list[str]:
+    """What else is left open at one time, in lines short enough for its table."""
+    common = _common_sentences(fit)
+    own = (s for s in _told(fit, t) if s not in common)
+    return [line for s in own for line in lines(s.replace("_", " "), _NARROW).split("\n")]
