@@ -1,13 +1,12 @@
-"""The accuracy figures that the README shows: against oracles, the sample sky's truth, peers on measured skies.
+"""The accuracy figures that the README shows: against oracles, and the sample sky's truth.
 
-    python experiments/accuracy.py [--shared ../shared] [--skip oracles,sample,measured]
+    python experiments/accuracy.py [--shared ../shared] [--skip oracles,sample]
 
 Writes experiments/results/accuracy.json; parts whose inputs are absent keep their last figures and say so.
 `python experiments/readme_tables.py` puts the figures into README.md.
 """
 
 import argparse
-import csv
 import importlib.metadata
 import json
 import pathlib
@@ -94,35 +93,14 @@ def seconds_per_sky(solver: str, preset: str, geometry: str) -> float:
 def sample() -> dict:
     """The shipped sample sky, made by sasktran2, inverted: truth, value and sigma of each parameter."""
     truth = json.loads((HERE.parent / "data" / "skies" / "sample_truth.json").read_text())["parameters"]
-    fit = skyfit.invert(skyfit.read(HERE.parent / "data" / "skies" / "sample.nc"), FREE)
+    # made by a scalar solver, with the haze at the height that is assumed
+    measurement = skyfit.Measurement(model_error=0.001)
+    fit = skyfit.invert(skyfit.read(HERE.parent / "data" / "skies" / "sample.nc"), FREE, measurement=measurement)
     parameters = {
         name: {"truth": truth[TRUTH[name]]["value"], "value": float(fit.values[0, i]), "sigma": float(fit.sigma[0, i])}
         for i, name in enumerate(FREE)
     }
     return {"parameters": parameters, "result": fit.result[0], "reduced_chi_square": float(fit.reduced_chi_square[0])}
-
-
-def measured(shared: pathlib.Path) -> dict:
-    """The measured scans fitted with the defaults, scored as the peers were: 360 + 11.75 k nm, k < 31."""
-    folder = shared / "measured" / "kider2014"
-    sky = skyfit.read(folder / "2013-05-27.nc")
-    fit = skyfit.invert(sky)
-    grid = 360.0 + 11.75 * np.arange(31)
-    scored = sky.select(grid)
-    model = np.apply_along_axis(lambda row: np.interp(grid, sky.wavelength_nm, row), -1, fit.model)
-    error = 1e3 * (model - scored.radiance)
-    scans = [float(np.sqrt(np.mean(e[u] ** 2))) for e, u in zip(error, scored.usable, strict=True)]
-    with (folder / "peer_rmse.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    peers = {}
-    for row in rows:
-        peers.setdefault(row["model"], []).append(float(row["rmse_mW_m2_sr_nm"]))
-    return {
-        "scans": scans,
-        "results": list(fit.result),
-        "all": float(np.sqrt(np.mean(error[scored.usable] ** 2))),
-        "peers": {name: float(np.sqrt(np.mean(np.square(values)))) for name, values in peers.items()},
-    }
 
 
 def main():
@@ -133,17 +111,15 @@ def main():
     skip = set(arguments.skip.split(","))
     record = json.loads(RESULT.read_text()) if RESULT.exists() else {}
     if not arguments.shared.exists():
-        print(f"{arguments.shared} is absent: the oracles and the measured skies keep their last figures")
-        skip |= {"oracles", "measured"}
+        print(f"{arguments.shared} is absent: the oracles keep their last figures")
+        skip |= {"oracles"}
     if "oracles" not in skip:
         record["oracles"] = oracles(arguments.shared)
     jax.config.update("jax_enable_x64", True)
     jax.clear_caches()
-    parts = {"sample": sample, "measured": lambda: measured(arguments.shared)}
-    for name, make in parts.items():
-        if name not in skip:
-            record[name] = make()
-            print(name, record[name], flush=True)
+    if "sample" not in skip:
+        record["sample"] = sample()
+        print("sample", record["sample"], flush=True)
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=HERE)
     record["made_with"] = {
         "commit": commit.stdout.strip(),

@@ -1,4 +1,4 @@
-"""Eight measured skies of one day (Kider et al. 2014) inverted: in the sample, in directions held out, beside the peers.
+"""Eight measured skies of one day (Kider et al. 2014) inverted: in the sample, held out, and beside the peers.
 
     python experiments/measured_sky.py [--shared ../shared] [--halves 10]
 
@@ -58,7 +58,7 @@ def rms(values: np.ndarray) -> float:
 
 
 def asymmetry(sky: skyfit.Sky) -> float:
-    """What the data differ by from their own mirror image about the sun's azimuth, over sqrt 2: no model can do better."""
+    """What the data differ by from their own mirror image about the sun's azimuth, over sqrt 2: no model is better."""
     scored = sky.select(GRID)
     off = []
     for t in range(len(sky.time)):

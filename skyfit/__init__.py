@@ -30,6 +30,7 @@ from .files import (
     read as read,
     read_coefficients as read_coefficients,
     read_fits as read_fits,
+    read_response as read_response,
     save as save,
     write_sky as write_sky,
 )
@@ -39,11 +40,13 @@ from .fit import (
     fit_perez as fit_perez,
     Fits as Fits,
     invert as invert,
+    Measurement as Measurement,
     next_directions as next_directions,
     PARAMETERS as PARAMETERS,
     posterior_covariance as posterior_covariance,
     predict as predict,
     refit as refit,
+    Response as Response,
     sensitivity as sensitivity,
 )
 from .light import daylight as daylight, srgb as srgb, srgb_from_linear as srgb_from_linear, xyY as xyY, xyz as xyz

@@ -39,7 +39,7 @@ def good(times=1) -> skyfit.Sky:
         longitude_deg=LONGITUDE, altitude_m=120.0, pressure_pa=100000.0, fwhm_nm=6.0, source="made",
     )  # fmt: skip
     model = with_values(start_model(FREE, 100000.0), FREE, list(TRUTH.values()))
-    clean = skyfit.predict(Fitted(time, (model,) * times, SOLVER, 6.0), sky)
+    clean = skyfit.predict(Fitted(time, (model,) * times, SOLVER, 6.0, NM, np.ones((times, NM.size))), sky)
     noise = NOISE * np.random.default_rng(1).standard_normal(shape)
     return replace(sky, radiance=clean * (1.0 + noise), sigma=NOISE * clean)
 

@@ -40,3 +40,11 @@ def x64() -> Iterator[None]:
     """float64 for one test."""
     with jax.enable_x64(True):
         yield
+
+
+@pytest.fixture(scope="module")
+def haste() -> Iterator[None]:
+    """Programs are compiled without optimising: compilation is most of the time of fits to small skies."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)

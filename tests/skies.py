@@ -1,6 +1,7 @@
 """Skies and solvers that the tests of the solver floor share."""
 
 from dataclasses import replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -176,11 +177,19 @@ def make_sky() -> Sky:
     )
 
 
-def fit_of_made_sky(free, truth, noise: float) -> Fit:
-    """A fit to `make_sky` filled by the solver `MADE_WITH` for the true values, with seeded relative noise."""
+MADE_FREE = ("turbidity", "angstrom_exponent", "asymmetry", "pointing_azimuth")
+MADE_SHARED = ("asymmetry",)
+
+
+@cache
+def fit_of_made_sky() -> Fit:
+    """A fit to `make_sky` filled by the solver `MADE_WITH`, with seeded noise; the times share the asymmetry."""
+    free, truth, noise = MADE_FREE, [3.2, 1.1, 0.72, 1.5], 0.02
     sky = make_sky()
     model = with_values(start_model(free, 97000.0), free, truth)
-    alone = [Fitted(sky.time[t : t + 1], (model,), MADE_WITH, 6.0) for t in range(2)]
+    exact = sky.wavelength_nm, np.ones((1, len(sky.wavelength_nm)))
+    alone = [Fitted(sky.time[t : t + 1], (model,), MADE_WITH, 6.0, *exact) for t in range(2)]
     clean = np.concatenate([predict(fitted, sky.at(t)) for t, fitted in enumerate(alone)])
     radiance = clean * np.random.default_rng(0).normal(1.0, noise, clean.shape)
-    return invert(replace(sky, radiance=np.where(sky.usable, radiance, np.nan)), free, MADE_WITH, fwhm_nm=6.0)
+    sky = replace(sky, radiance=np.where(sky.usable, radiance, np.nan))
+    return invert(sky, free, MADE_WITH, fwhm_nm=6.0, shared=MADE_SHARED)

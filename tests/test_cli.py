@@ -1,15 +1,21 @@
+import inspect
 import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import xarray
+from skies import fit_of_made_sky
 
 import skyfit
+import skyfit.cli.invert as command
+from skyfit.cli.fit_report import print_fit
+from skyfit.cli.options import app
 from skyfit.cli.simulate import turbidity_of
-from skyfit.fit import PARAMETERS
+from skyfit.fit import DEFAULT_FREE, PARAMETERS, SLOW
 
 
 WAVELENGTHS = "420:680:20"
@@ -19,6 +25,8 @@ WAVELENGTHS = "420:680:20"
 def environment(checkout, tmp_path_factory):
     """A narrow window, and one folder for the compiled code of all calls."""
     place = {"COLUMNS": "80", "XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache")), "PYTHONPATH": str(checkout)}
+    # programs that run once are not worth optimising
+    place["XLA_FLAGS"] = "--xla_backend_optimization_level=0"
     return {k: v for k, v in os.environ.items() if not k.startswith("JAX_")} | place
 
 
@@ -100,28 +108,31 @@ def test_fit_json_has_the_keys_of_its_schema(chain):
     record = json.loads((folder / "fit" / "fit.json").read_text())
     assert set(record) == {
         "schema", "version", "skyfit_version", "source", "solver", "geometry", "instrument", "station",
-        "atmosphere", "free", "shared", "fixed", "times", "total_rmse", "notes",
+        "atmosphere", "measurement", "priors", "smooth", "free", "shared", "fixed", "calibration", "times",
+        "total_rmse", "notes",
     }  # fmt: skip
-    assert (record["schema"], record["version"], record["source"]) == ("skyfit.fit", 1, "sky.nc")
+    assert (record["schema"], record["version"], record["source"]) == ("skyfit.fit", 2, "sky.nc")
     assert record["solver"] == {"name": "SingleScattering", "nodes": 12, "geometry": "flat"}
-    assert record["geometry"] == "flat" and record["instrument"] == {"fwhm_nm": 5.0}
+    assert record["geometry"] == "flat" and record["instrument"] == {"fwhm_nm": 5.0, "response": None}
     assert set(record["station"]) == {"latitude_deg", "longitude_deg", "altitude_m", "pressure_pa"}
     assert record["station"]["altitude_m"] == 0.0 and record["station"]["latitude_deg"] is None
     assert record["free"] == ["turbidity", "angstrom_exponent"]
     assert record["shared"] == {"parameters": {}, "correlation": []}
     assert all(set(entry) == {"value", "unit"} for entry in record["fixed"].values())
     assert set(record["fixed"]) == set(PARAMETERS) - {
-        "turbidity", "aerosol_optical_depth", "angstrom_exponent", "asymmetry_second", "forward_fraction"
+        "turbidity", "aerosol_optical_depth", "angstrom_exponent", "asymmetry_second", "forward_fraction",
+        "forward_fraction_slope",
     }  # fmt: skip
     (time,) = record["times"]
     assert set(time) == {
         "time", "sun_zenith_deg", "sun_azimuth_deg", "parameters", "correlation", "result", "steps", "rmse",
-        "rmse_unit", "samples", "masked", "reduced_chi_square", "undetermined",
+        "rmse_unit", "samples", "masked", "reduced_chi_square", "scale", "degrees_of_freedom", "rejected",
+        "undetermined",
     }  # fmt: skip
     assert time["time"] is None and time["result"] == "successful" and time["undetermined"] == []
     assert (time["sun_zenith_deg"], time["sun_azimuth_deg"]) == pytest.approx((60.0, 180.0))
     for entry in time["parameters"].values():
-        assert set(entry) == {"value", "unit", "sigma", "at_bound", "determined"}
+        assert set(entry) == {"value", "unit", "sigma", "model_sigma", "at_bound", "determined"}
     assert np.shape(time["correlation"]) == (2, 2) and time["correlation"][0][0] == pytest.approx(1.0)
     assert time["samples"] == 343 * 14 and time["masked"] == {}
     assert time["rmse"] == record["total_rmse"] < 1e-4 and time["rmse_unit"] == "W m-2 sr-1 nm-1"
@@ -171,17 +182,147 @@ def test_directions_of_a_file_simulated_to_csv_and_predicted_there(chain, skyfit
     np.testing.assert_allclose(skyfit.read(folder / "there.nc").radiance, few.radiance, rtol=2e-3)
 
 
-def test_what_is_fixed_is_held_and_told(chain, skyfit_command):
-    folder, _, _ = chain
-    done = skyfit_command(
-        "invert", "sky.nc", "--free", "aerosol_optical_depth", "--fix", "angstrom_exponent=1.1", "--fix",
-        "ozone=350", "--solver", "single", "--geometry", "flat", "--preset", "draft", "--out", "held", cwd=folder,
+def two_skies(path):
+    """A sky at two times whose haze grows: 40 directions, 5 wavelengths, 1 % noise; a bird at one."""
+    view, wavelength, solver = (
+        skyfit.hemisphere(40),
+        np.linspace(440.0, 680.0, 5),
+        skyfit.SingleScattering.draft("flat"),
+    )
+    radiance = np.stack([
+        solver.radiance(
+            replace(skyfit.Atmosphere.from_turbidity(turbidity), ozone=skyfit.Ozone(350.0)),
+            skyfit.Scene.from_degrees(zenith, view, wavelength, 180.0),
+        )
+        for zenith, turbidity in ((50.0, 3.0), (40.0, 3.3))
+    ])  # fmt: skip
+    radiance = radiance * np.random.default_rng(1).normal(1.0, 0.01, radiance.shape)
+    radiance[1, 7] *= 3.0
+    sky = skyfit.Sky(
+        radiance, None, np.ones(radiance.shape, bool), np.asarray(view.zenith), np.asarray(view.azimuth), wavelength,
+        np.radians([50.0, 40.0]), np.radians([180.0, 180.0]),
+        np.array(["2025-06-01T10:00", "2025-06-01T11:00"], "datetime64[ns]"), altitude_m=0.0,
     )  # fmt: skip
-    record = json.loads((folder / "held" / "fit.json").read_text())
-    assert record["fixed"]["angstrom_exponent"]["value"] == pytest.approx(1.1)
+    skyfit.write_sky(sky, path)
+    return np.degrees([sky.view_zenith[7], sky.view_azimuth[7]])
+
+
+def test_a_file_of_two_times_shares_what_is_slow(skyfit_command, tmp_path):
+    bird = two_skies(tmp_path / "two.nc")
+    done = skyfit_command(
+        "invert", "two.nc", "--free", "turbidity,angstrom_exponent,asymmetry", "--fix", "ozone=350", "--prior",
+        "angstrom_exponent=1.2,0.5", "--smooth", "turbidity=0.5", "--relative", 0.01, "--floor", 0.0, "--calibration",
+        0.02, "--loss", "cauchy", "--threshold", 2, "--model-error", 0.002, "--solver", "single", "--geometry", "flat",
+        "--preset", "draft", "--out", "fit", cwd=tmp_path,
+    )  # fmt: skip
+    record = json.loads((tmp_path / "fit" / "fit.json").read_text())
+    assert list(record["shared"]["parameters"]) == ["asymmetry"]
+    assert record["shared"]["parameters"]["asymmetry"]["value"] == pytest.approx(0.7, abs=0.02)
     assert record["fixed"]["ozone"] == {"value": 350.0, "unit": "DU"}
-    assert "angstrom_exponent 1.1" in " ".join(done.stdout.split()) and narrow(done.stdout)
-    assert list(record["times"][0]["parameters"]) == ["aerosol_optical_depth"]
+    assert record["priors"] == {"angstrom_exponent": {"value": 1.2, "sigma": 0.5, "unit": "1"}}
+    assert record["smooth"] == {"turbidity": {"sigma_per_hour": 0.5, "unit": "1"}}
+    told = {
+        "relative": 0.01,
+        "floor": 0.0,
+        "calibration": 0.02,
+        "model_error": 0.002,
+        "loss": "cauchy",
+        "threshold": 2.0,
+    }
+    assert told.items() <= record["measurement"].items()
+    for entry, turbidity in zip(record["times"], (3.0, 3.3), strict=True):
+        assert list(entry["parameters"]) == ["turbidity", "angstrom_exponent"]
+        found = entry["parameters"]["turbidity"]
+        assert found["value"] == pytest.approx(turbidity, abs=4.0 * found["sigma"]) and found["sigma"] < 0.3
+    assert record["times"][0]["rejected"] == []
+    (rejected,) = record["times"][1]["rejected"]
+    assert (rejected["view_zenith_deg"], rejected["view_azimuth_deg"]) == pytest.approx(bird)
+    printed = " ".join(done.stdout.split())
+    assert narrow(done.stdout) and "2 skies, 2025-06-01" in printed
+    # each parameter stands in one table, a row for each time
+    assert done.stdout.count("asymmetry") == 1 and done.stdout.count("turbidity") == 2
+    assert sum(line.split()[:1] in (["10:00"], ["11:00"]) for line in done.stdout.splitlines()) == 4
+    for words in (
+        "ozone 350 DU", "prior: angstrom_exponent 1.2 +- 0.5", "smooth: turbidity, change of its logarithm",
+        "times the stated one", "a model error of 0.2 %", "calibration: scale", "prior 0.02",
+        f"rejected, 11:00: 1 direction, zenith azimuth {bird[0]:.0f} {bird[1]:.0f}",
+    ):  # fmt: skip
+        assert words in printed, printed
+
+
+def asked(monkeypatch, folder, *words):
+    """What `skyfit invert` asks of `skyfit.invert`, by name; the program itself ends there."""
+    found = {}
+
+    def ask(*values, **named):
+        found.update(inspect.signature(skyfit.invert).bind(*values, **named).arguments)
+        raise ValueError("asked")
+
+    monkeypatch.setattr(command, "invert", ask)
+    monkeypatch.chdir(folder)
+    with pytest.raises(ValueError, match="asked"):
+        app(["invert", "two.nc", "--out", "new", *words], standalone_mode=False)
+    assert not (folder / "new").exists()
+    return found
+
+
+def test_the_options_of_invert_reach_the_fit(monkeypatch, tmp_path):
+    two_skies(tmp_path / "two.nc")
+    (tmp_path / "camera.csv").write_text("wavelength_nm,blue,green\n450,1,0\n550,0,2\n650,0,1\n")
+    usual = asked(monkeypatch, tmp_path)
+    assert usual["free"] == DEFAULT_FREE and usual["shared"] == tuple(n for n in DEFAULT_FREE if n in SLOW)
+    # the usual solvers of `invert` itself
+    assert usual["solver"] is None and usual["draft"] is None
+    assert usual["measurement"] == skyfit.Measurement() and usual["starts"] == 1
+    assert usual["response"] is None and usual["priors"] == usual["smooth"] == {}
+    given = asked(
+        monkeypatch, tmp_path, "--preset", "fine", "--field-of-view", "5", "--starts", "4", "--smooth", "asymmetry=0.1",
+        "--smooth", "turbidity=0.3", "--free", "turbidity,asymmetry,ozone", "--response", "camera.csv",
+    )  # fmt: skip
+    assert (given["solver"], given["draft"]) == (skyfit.OrdersOfScattering.fine(), skyfit.OrdersOfScattering.draft())
+    assert given["measurement"] == skyfit.Measurement(field_of_view=np.radians(5.0)) and given["starts"] == 4
+    # what is smooth in time is not the same at all times
+    assert given["smooth"] == {"asymmetry": 0.1, "turbidity": 0.3} and given["shared"] == ("ozone",)
+    np.testing.assert_allclose(given["response"].weight, [[50.0, 0.0, 0.0], [0.0, 200.0, 50.0]])
+    assert asked(monkeypatch, tmp_path, "--independent")["shared"] == ()
+    assert asked(monkeypatch, tmp_path, "--shared", "asymmetry, ground_albedo")["shared"] == (
+        "asymmetry",
+        "ground_albedo",
+    )
+    for name, kind in (("xyz", skyfit.Response.xyz()), ("srgb", skyfit.Response.linear_srgb())):
+        np.testing.assert_array_equal(asked(monkeypatch, tmp_path, "--response", name)["response"].weight, kind.weight)
+
+
+def test_what_is_printed_of_many_parameters_and_of_poor_ones(capsys):
+    fit = fit_of_made_sky()
+    print_fit(fit)
+    printed = capsys.readouterr().out
+    assert "all times" in printed and "each time" in printed and narrow(printed)
+    assert "calibration: scale" in printed and "beyond 3 times its prior" not in printed
+    assert "not determined" not in printed and "rejected" not in printed
+    sigma, at_bound, determined = fit.sigma.copy(), fit.at_bound.copy(), fit.determined.copy()
+    sigma[0, 3], at_bound[1, 1], determined[0, 3] = np.inf, True, False
+    weight, calibration = fit.weight.copy(), fit.calibration.copy()
+    weight[0, :8], calibration[:, 1] = 0.1, 1.05
+    poor = replace(
+        fit, sigma=sigma, at_bound=at_bound, determined=determined, weight=weight, calibration=calibration,
+        undetermined=(("angle open",), ()), response=skyfit.Response.xyz(),
+    )  # fmt: skip
+    print_fit(poor)
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "inf?" in printed and "! at its bound, ? not determined" in printed and "angle open" in printed
+    assert "rejected, 2024-06-01 10:00: 8 directions" in printed and "and 2 more" in printed
+    assert "beyond 3 times its prior at 1 of 3 wavelengths" in printed
+    assert "in the unit of the channels" in printed and "mW" not in printed
+    # wider than a window: a table for each time
+    many = 3 * list(range(4))
+    wide = replace(
+        fit, free=tuple(fit.free[p] for p in many), shared=(), values=fit.values[:, many], sigma=fit.sigma[:, many],
+        model_sigma=fit.model_sigma[:, many], at_bound=fit.at_bound[:, many], determined=fit.determined[:, many],
+    )  # fmt: skip
+    print_fit(wide)
+    printed = capsys.readouterr().out
+    assert printed.count("asymmetry") == 6 and "each time" not in printed and narrow(printed)
 
 
 def test_help_fits_a_narrow_window(skyfit_command, tmp_path):
@@ -298,13 +439,36 @@ BROKEN = {
         (*INVERT, "--free", "turbidity", "--fix", "ozone=300", "--fix", "ozone=310"),
         ["--fix", "ozone"],
     ),
+    "prior without sigma": ((*INVERT, "--prior", "ozone=300"), ["--prior", "name=value,sigma", "ozone=300"]),
+    "prior nonsense": ((*INVERT, "--prior", "haze=3,1"), ["--prior", "'haze'"]),
+    "prior no number": ((*INVERT, "--prior", "ozone=much,1"), ["--prior", "ozone", "much"]),
+    "prior of no width": ((*INVERT, "--prior", "ozone=300,0"), ["--prior", "ozone", "positive", "'0'"]),
+    "prior twice": ((*INVERT, "--prior", "ozone=300,9", "--prior", "ozone=310,9"), ["--prior", "once", "ozone"]),
+    "prior out of range": ((*INVERT, "--prior", "ozone=9,1"), ["--prior ozone", "50", "9"]),
+    "prior of what is held": ((*INVERT, "--prior", "ozone=300,9"), ["`priors`", "'ozone'"]),
+    "smooth nonsense": ((*INVERT, "--smooth", "ozone"), ["--smooth", "name=sigma"]),
+    "smooth negative": ((*INVERT, "--smooth", "ozone=-1"), ["--smooth", "positive", "-1"]),
+    "smooth and shared": (
+        (*INVERT, "--free", "turbidity,ozone", "--shared", "ozone", "--smooth", "ozone=3"),
+        ["`smooth`", "'ozone'"],
+    ),
+    "shared unknown": ((*INVERT, "--free", "turbidity", "--shared", "haze"), ["`shared`", "'haze'"]),
+    "shared and independent": ((*INVERT, "--independent", "--shared", "ozone"), ["--shared", "--independent"]),
+    "noise in per cent": ((*INVERT, "--relative", "2"), ["`relative`", "2"]),
+    "no noise": ((*INVERT, "--relative", "0", "--floor", "0"), ["`relative`", "exact"]),
+    "view of a fisheye": ((*INVERT, "--field-of-view", "180"), ["--field-of-view", "180"]),
+    "threshold of nothing": ((*INVERT, "--threshold", "0"), ["`threshold`", "0"]),
+    "no start": ((*INVERT, "--starts", "0"), ["--starts", "0"]),
+    "response missing": ((*INVERT, "--response", "none.csv"), ["none.csv"]),
+    "response broken": ((*INVERT, "--response", "broken.csv"), ["broken.csv", "row 2", "abc"]),
+    "response of other channels": ((*INVERT, "--response", "xyz"), ["`response`", "14", "3"]),
     "sky missing": (("invert", "none.nc", "--out", "new"), ["none.nc"]),
     "sky broken": (("invert", "broken.nc", "--out", "new"), ["broken.nc"]),
     "table broken": (("invert", "broken.csv", "--out", "new"), ["broken.csv"]),
     "night": (("invert", "night.csv", "--free", "turbidity", "--solver", "single", "--out", "new"), ["sun", "horizon"]),
     "too many parameters": (
         ("invert", "timed.csv", "--free", ",".join(list(PARAMETERS)[1:]), "--solver", "single", "--out", "new"),
-        ["12 usable samples", "14 free"],
+        ["12 usable samples", "15 free"],
     ),
     "out is a file": ((*INVERT[:-1], "fit.json", "--free", "turbidity"), ["--out", "fit.json"]),
     "refit out is a file": (("refit", "--out", "fit.json"), ["--out", "fit.json"]),
@@ -412,7 +576,8 @@ def test_a_folder_of_instrument_files_needs_the_offset_of_its_clock(shared, skyf
 
 def test_a_folder_of_instrument_files_is_inverted(shared, skyfit_command, tmp_path):
     done = skyfit_command(
-        "invert", shared.joinpath(*ASD), *STATION, "--utc-offset", -4, "--free", "turbidity,asymmetry,pointing_azimuth",
+        "invert", shared.joinpath(*ASD), *STATION, "--utc-offset", -4, 
+        "--free", "turbidity,angstrom_exponent,asymmetry,asymmetry_second,forward_fraction,pointing_azimuth",
         "--solver", "single", "--geometry", "flat", "--preset", "draft", "--out", "asd", cwd=tmp_path,
     )  # fmt: skip
     (time,) = json.loads((tmp_path / "asd" / "fit.json").read_text())["times"]

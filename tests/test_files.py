@@ -9,7 +9,7 @@ import pytest
 import xarray
 from hypothesis import given, settings, strategies as st
 
-from skyfit.files import atomic, read, read_directions, solar_position, write_sky
+from skyfit.files import atomic, read, read_directions, read_response, solar_position, write_sky
 from skyfit.files.units import radiance_factor
 from skyfit.scene.samples import Sky
 
@@ -100,6 +100,30 @@ def assert_same(read_back: Sky, sky: Sky) -> None:
     for name in ("latitude_deg", "longitude_deg", "altitude_m", "pressure_pa", "fwhm_nm"):
         np.testing.assert_equal(getattr(read_back, name), getattr(sky, name))
     assert read_back.notes == sky.notes
+    for name in ("direct_irradiance", "direct_sigma"):
+        np.testing.assert_equal(getattr(read_back, name), getattr(sky, name))
+
+
+def test_a_file_of_responses(tmp_path):
+    """A flat channel of weight 1 integrates the spectrum, as `numpy.trapezoid` does."""
+    wavelength = np.array([400.0, 410.0, 440.0, 500.0])
+    blue = np.array([0.0, 1.0, 0.5, 0.0])
+    rows = zip(wavelength, np.ones(4), blue, strict=True)
+    response = read_response(write_rows(tmp_path / "camera.csv", rows, ["wavelength_nm", "flat", "blue"]))
+    np.testing.assert_array_equal(response.wavelength_nm, wavelength)
+    spectrum = np.array([0.1, 0.3, 0.2, 0.4])
+    expected = [np.trapezoid(spectrum, wavelength), np.trapezoid(blue * spectrum, wavelength)]
+    np.testing.assert_allclose(response.weight @ spectrum, expected, rtol=1e-12)
+    for rows, header, told in (
+        ([(400, 1), (410, 1)], ["nm", "a"], "expected the column `wavelength_nm`"),
+        ([(400,), (410,)], ["wavelength_nm"], "one or more channels"),
+        ([(400, 1)], ["wavelength_nm", "a"], "and 1 rows"),
+        ([(400, 1), (410, "x")], ["wavelength_nm", "a"], "row 3, column `a`"),
+        ([(410, 1), (400, 1)], ["wavelength_nm", "a"], "increase"),
+        ([(0.4, 1), (0.5, 1)], ["wavelength_nm", "a"], "within 300-1100 nm"),
+    ):
+        with pytest.raises(ValueError, match=rf"^odd\.csv: .*{told}"):
+            read_response(write_rows(tmp_path / "odd.csv", rows, header))
 
 
 @pytest.mark.parametrize("suffix", [".nc", ".csv"])
@@ -118,6 +142,65 @@ def test_a_sky_round_trips(tmp_path, suffix, sigma, times):
     again = read(path)
     assert_same(again, back)
     assert again.masked == back.masked
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".csv"])
+@pytest.mark.parametrize("sigma", [True, False])
+def test_the_suns_beam_round_trips(tmp_path, suffix, sigma):
+    beam = np.random.default_rng(2).uniform(0.1, 1.5, (2, 7))
+    beam[0, 3] = np.nan
+    sky = replace(make_sky(), direct_irradiance=beam, direct_sigma=0.02 * beam if sigma else None)
+    write_sky(sky, tmp_path / f"sky{suffix}")
+    assert_same(read(tmp_path / f"sky{suffix}"), sky)
+
+
+def test_the_suns_beam_is_converted_put_in_order_and_screened(tmp_path):
+    beam = np.array([[100.0, 200.0, 300.0, -1.0, np.inf, 600.0], [np.nan, 20.0, 30.0, 40.0, 50.0, 60.0]])
+    about = {"units": "mW m-2 nm-1"}
+    data = make_dataset(
+        direct_normal_irradiance=(("time", "wavelength"), beam, about),
+        direct_normal_irradiance_sigma=("wavelength", np.full(6, 2.0)),
+    )
+    sky = read(save(data.isel(wavelength=slice(None, None, -1)), tmp_path / "sky.nc"))
+    expected = np.where(np.isfinite(beam) & (beam >= 0.0), 1e-3 * beam, np.nan)
+    np.testing.assert_allclose(sky.direct_irradiance, expected, rtol=1e-12)
+    np.testing.assert_allclose(sky.direct_sigma, np.full((2, 6), 2e-3), rtol=1e-12)
+    assert "direct normal irradiance converted from mW m-2 nm-1 to W m-2 nm-1" in sky.notes
+    assert "2 direct irradiances that are negative or infinite left out" in sky.notes
+    # one beam for all times
+    once = make_dataset(direct_normal_irradiance=("wavelength", beam[1], about))
+    np.testing.assert_allclose(read(save(once, tmp_path / "once.nc")).direct_irradiance, [1e-3 * beam[1]] * 2)
+    assert read(tmp_path / "once.nc").direct_sigma is None
+
+
+@pytest.mark.parametrize(
+    ("axes", "value", "units", "told"),
+    [
+        (("time", "wavelength"), 0.5, None, "expected units W m-2 nm-1, found none"),
+        (("time", "wavelength"), 0.5, "W m-2 sr-1 nm-1", "expected units W m-2 nm-1, found 'W m-2 sr-1 nm-1'"),
+        (("time", "wavelength"), 0.5, "W m-2", "expected units W m-2 nm-1"),
+        (("time", "wavelength"), 500.0, "W m-2 nm-1", "3 W m-2 nm-1 at most, found 500; is this mW"),
+        (("time", "direction"), 0.5, "W m-2 nm-1", "expected dimensions among time, wavelength"),
+    ],
+)
+def test_a_beam_that_is_none_is_refused(tmp_path, axes, value, units, told):
+    data = make_dataset()
+    shape = tuple(data.sizes[axis] for axis in axes)
+    data["direct_normal_irradiance"] = (axes, np.full(shape, value), {} if units is None else {"units": units})
+    with pytest.raises(ValueError, match=rf"^sky\.nc: variable `direct_normal_irradiance`: .*{told}"):
+        read(save(data, tmp_path / "sky.nc"))
+
+
+def test_a_beam_of_a_table_is_one_of_each_time_and_wavelength(tmp_path):
+    header = [*SUN, "direct_normal_irradiance"]
+    rows = [(10, 0, 500, 0.1, 40, 120, 0.9), (20, 0, 500, 0.1, 40, 120, 0.9), (20, 0, 400, 0.1, 40, 120, "")]
+    sky = read(write_rows(tmp_path / "s.csv", rows, header))
+    np.testing.assert_array_equal(sky.direct_irradiance, [[np.nan, 0.9]])
+    rows[1] = (20, 0, 500, 0.1, 40, 120, 0.8)
+    with pytest.raises(
+        ValueError, match=r"row 3, column `direct_normal_irradiance`: expected one value per time and w"
+    ):
+        read(write_rows(tmp_path / "s.csv", rows, header))
 
 
 @pytest.mark.parametrize("suffix", [".nc", ".csv"])

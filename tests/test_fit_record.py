@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 import xarray
 from hypothesis import given, HealthCheck, settings, strategies as st
-from skies import fit_of_made_sky
+from skies import fit_of_made_sky, MADE_FREE as FREE, MADE_SHARED as SHARED
 
 import skyfit.files.fit_record as fit_record
 from skyfit import Aerosol, Atmosphere
 from skyfit.atmosphere import CornetteShanks, HenyeyGreenstein, Layered, Rayleigh
 from skyfit.files import load, read, save, write_prediction
-from skyfit.fit import Fit, predict, SkyModel, start_model
+from skyfit.fit import Fit, Measurement, predict, Response, SkyModel, start_model
 from skyfit.transport import OrdersOfScattering
 
 
-FREE = ("turbidity", "angstrom_exponent", "asymmetry", "pointing_azimuth")
+OWN = tuple(name for name in FREE if name not in SHARED)
 
 
 @pytest.fixture(scope="session")
 def fit() -> Fit:
     """A fit to a sky of the solver's own, with noise."""
-    return fit_of_made_sky(FREE, [3.2, 1.1, 0.72, 1.5], noise=0.01)
+    return fit_of_made_sky()
 
 
 @pytest.fixture(scope="session")
@@ -47,19 +47,31 @@ def keys_of(value) -> set[str]:
 def test_the_record_has_the_documented_keys(record, fit):
     assert keys_of(record) == {
         "schema", "version", "skyfit_version", "source", "solver", "geometry", "instrument", "station",
-        "atmosphere", "free", "shared", "fixed", "times", "total_rmse", "notes",
+        "atmosphere", "measurement", "priors", "smooth", "free", "shared", "fixed", "calibration", "times",
+        "total_rmse", "notes",
     }  # fmt: skip
-    assert (record["schema"], record["version"]) == ("skyfit.fit", 1)
+    assert (record["schema"], record["version"]) == ("skyfit.fit", 2)
     assert record["source"] == "made.nc"
     assert record["solver"] == {"name": "SingleScattering", "nodes": 8, "geometry": "flat"}
     assert record["geometry"] == "flat"
-    assert record["instrument"] == {"fwhm_nm": 6.0}
+    assert record["instrument"] == {"fwhm_nm": 6.0, "response": None}
     assert record["station"] == {
         "latitude_deg": None, "longitude_deg": None, "altitude_m": 300.0, "pressure_pa": None
     }  # fmt: skip
     assert record["atmosphere"]["phase"] == "HenyeyGreenstein"
     assert record["free"] == list(FREE)
-    assert record["shared"] == {"parameters": {}, "correlation": []}
+    assert record["measurement"] == {
+        "relative": None, "floor": None, "calibration": None, "calibration_prior": 0.01,
+        "model_error": fit.measurement.model_error, "field_of_view_deg": 0.0, "loss": "huber", "threshold": 3.0,
+    }  # fmt: skip
+    assert record["priors"] == record["smooth"] == {}
+    assert keys_of(record["shared"]["parameters"]) == set(SHARED)
+    assert record["shared"]["parameters"]["asymmetry"]["value"] == fit.values[0, 2] == fit.values[1, 2]
+    assert record["shared"]["correlation"] == [[pytest.approx(1.0)]]
+    assert record["calibration"]["wavelength_nm"] == [440.0, 500.0, 600.0]
+    # all times share the instrument's scale
+    assert np.shape(record["calibration"]["scale"]) == np.shape(record["calibration"]["sigma"]) == (1, 3)
+    assert 0.0 < np.min(record["calibration"]["sigma"]) <= np.max(record["calibration"]["sigma"]) < 0.0101
     assert record["fixed"]["ozone"] == {"value": 300.0, "unit": "DU"}
     # turbidity is fitted, so its other name is not fixed
     assert not keys_of(record["fixed"]) & {"turbidity", "aerosol_optical_depth", *FREE}
@@ -69,14 +81,16 @@ def test_the_record_has_the_documented_keys(record, fit):
     for t, entry in enumerate(record["times"]):
         assert keys_of(entry) == {
             "time", "sun_zenith_deg", "sun_azimuth_deg", "parameters", "correlation", "result", "steps",
-            "rmse", "rmse_unit", "samples", "masked", "reduced_chi_square", "undetermined",
+            "rmse", "rmse_unit", "samples", "masked", "reduced_chi_square", "scale", "degrees_of_freedom", "rejected",
+            "undetermined",
         }  # fmt: skip
-        assert keys_of(entry["parameters"]) == set(FREE)
-        for p, name in enumerate(FREE):
-            shown = entry["parameters"][name]
-            assert keys_of(shown) == {"value", "unit", "sigma", "at_bound", "determined"}
+        assert keys_of(entry["parameters"]) == set(OWN)
+        for name in OWN:
+            p, shown = FREE.index(name), entry["parameters"][name]
+            assert keys_of(shown) == {"value", "unit", "sigma", "model_sigma", "at_bound", "determined"}
             assert shown["value"] == fit.values[t, p]
             assert shown["sigma"] == fit.sigma[t, p]
+            assert 0.0 < shown["model_sigma"] == fit.model_sigma[t, p] < shown["sigma"]
         assert np.diag(entry["correlation"]) == pytest.approx(np.ones(4))
         # 760 nm is in the oxygen band, which the model leaves out
         assert entry["samples"] + sum(entry["masked"].values()) == 40
@@ -87,7 +101,7 @@ def test_the_record_has_the_documented_keys(record, fit):
 
 def test_what_is_not_finite_is_null(fit, tmp_path):
     sigma = fit.sigma.copy()
-    sigma[0, 1], sigma[1, 2] = np.nan, np.inf
+    sigma[0, 1], sigma[1, 3] = np.nan, np.inf
     covariance = fit.covariance.copy()
     covariance[0, 1] = np.nan
     path = tmp_path / "fit.json"
@@ -100,7 +114,7 @@ def test_what_is_not_finite_is_null(fit, tmp_path):
     record = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
     first, second = record["times"]
     assert first["parameters"]["angstrom_exponent"]["sigma"] is None
-    assert second["parameters"]["asymmetry"]["sigma"] is None
+    assert second["parameters"]["pointing_azimuth"]["sigma"] is None
     assert first["correlation"][1][1] is None
     assert first["rmse"] is None and second["rmse"] is None
     assert record["instrument"]["fwhm_nm"] is None
@@ -120,10 +134,12 @@ def test_a_loaded_fit_predicts_the_fitted_sky(fit, tmp_path):
     loaded = load(tmp_path / "fit.json")
     assert loaded.solver == fit.solver
     np.testing.assert_array_equal(loaded.time, fit.sky.time)
+    np.testing.assert_array_equal(loaded.fitted_nm, fit.fitted_nm)
+    np.testing.assert_array_equal(loaded.calibration, fit.calibration)
     one = replace(loaded, time=loaded.time[:1], models=loaded.models[:1])
     np.testing.assert_allclose(predict(one, fit.sky.at(0))[0], fit.model[0], rtol=1e-6)
-    same = replace(fit.fitted, time=loaded.time[1:], models=fit.fitted.models[1:])
-    other = replace(loaded, time=loaded.time[1:], models=loaded.models[1:])
+    same = replace(fit.fitted, time=loaded.time[1:], models=fit.fitted.models[1:], calibration=fit.calibration[1:])
+    other = replace(loaded, time=loaded.time[1:], models=loaded.models[1:], calibration=loaded.calibration[1:])
     np.testing.assert_allclose(predict(other, fit.sky.at(1))[0], fit.model[1], rtol=1e-6)
     np.testing.assert_array_equal(predict(other, fit.sky.at(1)), predict(same, fit.sky.at(1)))
 
@@ -164,8 +180,8 @@ def test_nothing_is_lost_where_the_haze_is_fixed(fit, tmp_path):
     start = start_model(free, 9e4)
     changed = replace(
         fit, free=free, start=start, values=fit.values[:, 2:3], sigma=fit.sigma[:, 2:3],
-        covariance=fit.covariance[:, 2:3, 2:3], at_bound=fit.at_bound[:, 2:3],
-        determined=fit.determined[:, 2:3], solver=OrdersOfScattering.draft(),
+        covariance=fit.covariance[:, 2:3, 2:3], at_bound=fit.at_bound[:, 2:3], model_sigma=fit.model_sigma[:, 2:3],
+        determined=fit.determined[:, 2:3], solver=OrdersOfScattering.draft(), shared=(),
     )  # fmt: skip
     save(changed, tmp_path / "fit.json")
     loaded = load(tmp_path / "fit.json")
@@ -197,7 +213,8 @@ def put(record, path, value):
 REFUSED = {
     "schema": (("schema",), "other", "schema"),
     "no schema": (("schema",), ..., "schema"),
-    "version": (("version",), 2, "version"),
+    "version": (("version",), 3, "version"),
+    "version of an older skyfit": (("version",), 1, "version`: expected 2, found 1, of an older skyfit: fit"),
     "no solver": (("solver",), ..., "solver"),
     "solver name": (("solver", "name"), "Magic", r"solver\.name"),
     "solver setting": (("solver", "nodes"), "8", r"solver\.nodes"),
@@ -222,11 +239,21 @@ REFUSED = {
     "no times": (("times",), [], "times"),
     "times": (("times",), {}, "times"),
     "time": (("times", 0, "time"), "noon", r"times\[0\]\.time"),
-    "parameter": (("times", 1, "parameters", "asymmetry"), ..., r"times\[1\]\.parameters\.asymmetry"),
-    "value": (("times", 1, "parameters", "asymmetry", "value"), 3.0, r"asymmetry\.value"),
-    "true": (("times", 1, "parameters", "asymmetry", "value"), True, r"asymmetry\.value"),
-    "flag": (("times", 1, "parameters", "asymmetry", "at_bound"), 0, r"asymmetry\.at_bound"),
+    "parameter": (("times", 1, "parameters", "turbidity"), ..., r"times\[1\]\.parameters\.turbidity"),
+    "shared too": (("shared", "parameters", "asymmetry"), ..., r"parameters\.asymmetry"),
+    "value": (("times", 1, "parameters", "pointing_azimuth", "value"), 30.0, r"azimuth\.value"),
+    "shared value": (("shared", "parameters", "asymmetry", "value"), 3.0, r"shared\.parameters\.asymmetry\.value"),
+    "true": (("times", 1, "parameters", "pointing_azimuth", "value"), True, r"azimuth\.value"),
+    "flag": (("times", 1, "parameters", "pointing_azimuth", "at_bound"), 0, r"azimuth\.at_bound"),
     "correlation": (("times", 0, "correlation"), [[1.0, "x"]], r"times\[0\]\.correlation\[0\]\[1\]"),
+    "response": (("instrument", "response"), "xyz", r"instrument\.response"),
+    "prior": (("priors",), {"ozone": {"value": 300.0}}, r"priors\.ozone\.sigma"),
+    "loss": (("measurement", "loss"), ..., r"measurement\.loss"),
+    "calibration": (("calibration", "scale", 0, 1), None, r"calibration\.scale\[0\]\[1\]"),
+    "calibration rows": (("calibration", "scale"), [[1.0] * 3] * 3, r"calibration\.scale"),
+    "calibration row": (("calibration", "scale"), [[1.0] * 2], r"calibration\.scale"),
+    "calibration falls": (("calibration", "wavelength_nm", 0), 700.0, r"calibration\.wavelength_nm"),
+    "rejected": (("times", 0, "rejected"), [{"view_zenith_deg": 3.0}], r"times\[0\]\.rejected\[0\]\.view_azimuth_deg"),
     "steps": (("times", 0, "steps"), -1, r"times\[0\]\.steps"),
     "notes": (("notes",), ["fine", 3], r"notes\[1\]"),
 }
@@ -272,12 +299,46 @@ def test_a_damaged_record_never_gives_another_error(record, tmp_path, data):
         assert str(error).startswith("odd.json: ") and "\n" not in str(error)
 
 
-def test_parameters_of_all_times_are_read(record, fit, tmp_path):
-    changed = deepcopy(record)
-    shared = [entry["parameters"].pop("asymmetry") for entry in changed["times"]][0]
-    changed["shared"] = {"parameters": {"asymmetry": shared}, "correlation": [[1.0]]}
+def test_parameters_of_all_times_are_read(record, tmp_path):
+    changed = put(record, ("shared", "parameters", "asymmetry", "value"), 0.61)
     for model in load(write(changed, tmp_path / "fit.json")).models:
-        assert float(model.atmosphere.aerosol.phase.asymmetry) == pytest.approx(shared["value"])
+        assert float(model.atmosphere.aerosol.phase.asymmetry) == pytest.approx(0.61)
+
+
+def test_times_that_share_nothing_have_all_parameters_and_scales_of_their_own(fit, tmp_path):
+    calibration = fit.calibration * np.array([[1.0], [1.01]])
+    save(replace(fit, shared=(), calibration=calibration), tmp_path / "fit.json")
+    record = json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))
+    assert record["shared"] == {"parameters": {}, "correlation": []}
+    assert all(list(entry["parameters"]) == list(FREE) for entry in record["times"])
+    np.testing.assert_array_equal(record["calibration"]["scale"], calibration)
+    np.testing.assert_array_equal(load(tmp_path / "fit.json").calibration, calibration)
+
+
+def test_what_was_asked_for_is_told(fit, tmp_path):
+    asked = Measurement(0.01, 0.02, 0.03, 0.004, np.radians(5.0), "cauchy", 2.0)
+    weight = fit.weight.copy()
+    weight[1, 4] = [0.2, 0.4, np.nan]
+    changed = replace(
+        fit, measurement=asked, priors={"angstrom_exponent": (1.2, 0.3)}, response=Response.xyz(), weight=weight,
+        smooth={"turbidity": 0.2, "pointing_azimuth": 0.5},
+    )  # fmt: skip
+    save(changed, tmp_path / "fit.json")
+    record = json.loads((tmp_path / "fit.json").read_text(encoding="utf-8"))
+    assert record["measurement"] == {
+        "relative": 0.01, "floor": 0.02, "calibration": 0.03, "calibration_prior": 0.03, "model_error": 0.004,
+        "field_of_view_deg": 5.0, "loss": "cauchy", "threshold": 2.0,
+    }  # fmt: skip
+    assert record["priors"] == {"angstrom_exponent": {"value": 1.2, "sigma": 0.3, "unit": "1"}}
+    assert record["smooth"] == {
+        "turbidity": {"sigma_per_hour": 0.2, "unit": "1"},
+        "pointing_azimuth": {"sigma_per_hour": 0.5, "unit": "degree"},
+    }
+    assert np.shape(record["instrument"]["response"]["weight"]) == (3, 41)
+    assert record["times"][0]["rejected"] == []
+    (direction,) = record["times"][1]["rejected"]
+    assert direction == {"view_zenith_deg": 55.0, "view_azimuth_deg": 60.0, "weight": pytest.approx(0.3)}
+    load(tmp_path / "fit.json")
 
 
 def test_the_field_is_written(fit, tmp_path):
@@ -288,6 +349,13 @@ def test_the_field_is_written(fit, tmp_path):
             assert data[name].dims == ("time", "direction", "wavelength")
             assert data[name].attrs["units"] == "W m-2 sr-1 nm-1"
             assert set(data[name].coords) == {"time", "wavelength", "view_zenith", "view_azimuth"}
+        np.testing.assert_array_equal(data["fitted_wavelength"], [440.0, 500.0, 600.0])
+        assert data["weight"].dims == ("time", "direction", "fitted_wavelength")
+        np.testing.assert_array_equal(data["weight"], fit.weight)
+        np.testing.assert_array_equal(np.isnan(data["weight"]), ~fit.used[..., :3])
+        assert data["gain"].dims == ("time", "parameter", "direction", "fitted_wavelength")
+        assert data["parameter"].values.tolist() == list(FREE)
+        np.testing.assert_allclose(data["gain"], fit.gain, rtol=1e-6)
         np.testing.assert_array_equal(data["model"], fit.model)
         np.testing.assert_array_equal(np.isnan(data["residual"]), ~fit.used)
         np.testing.assert_array_equal(data["residual"].values[fit.used], fit.residual[fit.used])
@@ -295,6 +363,13 @@ def test_the_field_is_written(fit, tmp_path):
     back = read(path)
     np.testing.assert_array_equal(back.radiance, fit.sky.radiance)
     np.testing.assert_array_equal(back.usable, fit.sky.usable)
+
+
+def test_a_gain_too_large_for_a_file_is_left_out(fit, tmp_path, monkeypatch):
+    monkeypatch.setattr(fit_record, "_MOST_GAIN", fit.gain.size - 1)
+    save(fit, tmp_path / "fit.nc")
+    with xarray.open_dataset(tmp_path / "fit.nc", engine="h5netcdf") as data:
+        assert "gain" not in data.variables and "weight" in data
 
 
 def test_a_prediction_reads_back(fit, tmp_path):

@@ -29,7 +29,7 @@ def simulated(sun_deg, depth=0.2, asymmetry=0.65, ground=0.1, zenith=DOME.zenith
         time=np.array(["NaT"], "datetime64[ns]"),
     )  # fmt: skip
     model = with_values(start_model(NAMES, 101325.0), NAMES, (depth, asymmetry, ground))
-    clean = skyfit.predict(Fitted(sky.time, (model,), SMALL["flat"], np.nan), sky)
+    clean = skyfit.predict(Fitted(sky.time, (model,), SMALL["flat"], np.nan, NM, np.ones((1, NM.size))), sky)
     return replace(sky, radiance=clean * (1.0 + 0.02 * np.random.default_rng(2).standard_normal(shape)))
 
 

@@ -8,20 +8,11 @@ import typer
 
 from ..draw import plot
 from ..files import load, read, save, write_prediction
-from ..fit import (
-    check_free,
-    DEFAULT_FREE,
-    Fit,
-    invert,
-    PARAMETERS,
-    predict,
-    SkyModel,
-    start_model,
-    station_pressure,
-    time_names,
-    with_values,
-)
+from ..fit import DEFAULT_FREE, invert, Measurement, PARAMETERS, predict
 from ..scene import Sky
+from ..transport import AbstractSolver
+from .asked import names_in, priors_of, response_of, shared_of, smooth_of, start_of
+from .fit_report import print_fit
 from .options import (
     app,
     check_folder,
@@ -30,6 +21,7 @@ from .options import (
     GeometryOption,
     in_range,
     LineShape,
+    LossName,
     make_solver,
     OutFolder,
     PresetName,
@@ -37,7 +29,6 @@ from .options import (
     progress,
     SolverName,
     SolverOption,
-    table,
 )
 
 
@@ -47,6 +38,9 @@ UtcOffset = Annotated[float | None, typer.Option(help="hours of local time ahead
 Altitude = Annotated[float | None, typer.Option(help="of the station, metres")]
 FreeOption = Annotated[str, typer.Option(help=f"with commas, of: {', '.join(PARAMETERS)}")]
 DEFAULT_FREE_TEXT = ",".join(DEFAULT_FREE)
+_USUAL, _USUAL_SOLVER = Measurement(), (SolverName.orders, PresetName.normal, GeometryName.spherical)
+# degrees; `Measurement` ends at half a radian
+_WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 
 
 @app.command("invert")
@@ -55,93 +49,60 @@ def invert_command(
     out: OutFolder,
     free: FreeOption = DEFAULT_FREE_TEXT,
     fix: Annotated[list[str] | None, typer.Option(help="name=value of a parameter that is known")] = None,
+    prior: Annotated[list[str] | None, typer.Option(help="name=value,sigma known before, repeatable")] = None,
+    shared: Annotated[str | None, typer.Option(help="names that all times share (default: the slow ones)")] = None,
+    independent: Annotated[bool, typer.Option("--independent", help="each time by itself, nothing shared")] = False,
+    smooth: Annotated[list[str] | None, typer.Option(help="name=sigma of its change per hour, repeatable")] = None,
+    relative: Annotated[float | None, typer.Option(help="noise, share of each sample")] = None,
+    floor: Annotated[float | None, typer.Option(help="noise, share of the time's median radiance")] = None,
+    calibration: Annotated[float | None, typer.Option(help="sigma of each wavelength's scale, 0: exact")] = None,
+    model_error: Annotated[float, typer.Option(help="relative, of the model")] = _USUAL.model_error,
+    field_of_view: Annotated[float, typer.Option(help="full cone of the instrument, degrees")] = 0.0,
+    loss: Annotated[LossName, typer.Option(help="of residuals beyond the threshold")] = LossName.huber,
+    threshold: Annotated[float, typer.Option(help="of the loss, in sigma")] = _USUAL.threshold,
+    starts: Annotated[int, typer.Option(help="of the search, random ones but for the first")] = 1,
+    response: Annotated[str | None, typer.Option(help="samples are channels: xyz, srgb or a CSV of them")] = None,
     latitude: Latitude = None,
     longitude: Longitude = None,
     utc_offset: UtcOffset = None,
     altitude: Altitude = None,
     fwhm: LineShape = None,
-    solver: SolverOption = SolverName.orders,
-    preset: PresetOption = PresetName.normal,
-    geometry: GeometryOption = GeometryName.spherical,
+    solver: SolverOption = _USUAL_SOLVER[0],
+    preset: PresetOption = _USUAL_SOLVER[1],
+    geometry: GeometryOption = _USUAL_SOLVER[2],
 ):
     """Recover turbidity or aerosol optical depth, and more, from a measured sky."""
-    names = tuple(name.strip() for name in free.split(",") if name.strip())
+    names, smoothed = names_in(free), smooth_of(smooth or [])
+    view = np.radians(in_range("--field-of-view", field_of_view, 0.0, _WIDEST_VIEW))
+    measurement = Measurement(relative, floor, calibration, model_error, float(view), loss.value, threshold)
+    in_range("--starts", float(starts), 1.0, _MOST_STARTS)
+    priors, channels = priors_of(prior or []), response_of(response)
     measured = _read(sky, latitude, longitude, utc_offset, altitude, fwhm)
-    start = _start(names, fix or [], measured)
+    start = start_of(names, fix or [], measured)
+    common = shared_of(names, shared, independent, tuple(smoothed), len(measured.time))
+    last, first = _solvers(solver, preset, geometry)
     check_folder(out)
     with progress("compiling and fitting") as report:
-        fit = invert(measured, names, make_solver(solver, preset, geometry), start, progress=report)
+        fit = invert(
+            measured, names, last, start, progress=report, shared=common, measurement=measurement, response=channels,
+            priors=priors, smooth=smoothed, draft=first, starts=starts,
+        )  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
     save(fit, out / "fit.json")
     save(fit, out / "fit.nc")
     plot(fit, out / "fit.png")
-    _print_fit(fit)
+    print_fit(fit)
     written = ", ".join(str(out / f"fit.{end}") for end in ("json", "nc", "png"))
     console.print(f"written: {written}", highlight=False)
 
 
-def _start(free: tuple[str, ...], fix: list[str], sky: Sky) -> SkyModel:
-    """The first guess, with the values that the user knows."""
-    start = start_model(free, station_pressure(sky)[0])
-    check_free(free, start)
-    known: dict[str, float] = {}
-    for name, value in map(_known, fix):
-        if name in known or name in free:
-            raise ValueError(f"`--fix` must name each parameter once and none of `--free`, got {name!r}")
-        known[name] = value
-    try:
-        check_free((*free, *known), start)
-    except ValueError as error:
-        raise ValueError(f"`--fix` with `--free`: {error}") from None
-    return with_values(start, tuple(known), list(known.values()))
-
-
-def _known(text: str) -> tuple[str, float]:
-    name, _, value = text.partition("=")
-    if name not in PARAMETERS:
-        raise ValueError(f"`--fix` must name a parameter among {', '.join(PARAMETERS)}; got {name!r}")
-    try:
-        number = float(value)
-    except ValueError:
-        raise ValueError(f"`--fix` must be name=value with a number, got {text!r}") from None
-    return name, in_range(f"--fix {name}", number, PARAMETERS[name].lower, PARAMETERS[name].upper)
-
-
-def _print_fit(fit: Fit) -> None:
-    count = len(fit.sky.time)
-    scans = table(f"{fit.sky.source}: {count} {'sky' if count == 1 else 'skies'}")
-    headings = ("time (UTC)", "sun zenith", "azimuth", "RMSE mW", "chi2", "steps", "result")
-    for heading in headings:
-        scans.add_column(heading, justify="right", no_wrap=True)
-    for t, name in enumerate(time_names(fit.sky)):
-        angles = (f"{np.degrees(angle[t]):.2f}" for angle in (fit.sky.sun_zenith, fit.sky.sun_azimuth))
-        numbers = f"{1e3 * fit.rmse[t]:.2f}", f"{fit.reduced_chi_square[t]:.2f}", f"{fit.steps[t]}"
-        scans.add_row(name.replace("T", " ").removesuffix(":00Z"), *angles, *numbers, fit.result[t])
-    console.print(scans)
-    console.print(
-        f"RMSE over all: {1e3 * fit.total_rmse:.2f} mW m-2 sr-1 nm-1 ({int(fit.used.sum())} samples)",
-        highlight=False,
-    )
-    for t, name in enumerate(time_names(fit.sky)):
-        values = table(name)
-        for heading in ("parameter", "value", "sigma", "unit", "remarks"):
-            values.add_column(heading, justify="right" if heading in ("value", "sigma") else "left")
-        for p, parameter in enumerate(fit.free):
-            flags = ["at bound"] * bool(fit.at_bound[t, p]) + ["not determined"] * (not fit.determined[t, p])
-            values.add_row(
-                parameter, f"{fit.values[t, p]:.5g}", f"{fit.sigma[t, p]:.2g}", PARAMETERS[parameter].unit,
-                ", ".join(flags),
-            )  # fmt: skip
-        console.print(values)
-        open_ends = fit.undetermined[t] or ("all of these are determined by the data",)
-        for sentence in open_ends:
-            console.print(f"  {sentence}", highlight=False)
-    held = (f"{name} {value:.5g} {PARAMETERS[name].unit}".removesuffix(" 1") for name, value in fit.fixed.items())
-    console.print(f"held fixed: {', '.join(held)}", highlight=False)
-    for note in fit.notes:
-        console.print(f"note: {note}", highlight=False)
-    for reason, count in fit.sky.masked.items():
-        console.print(f"masked: {count} samples {reason}", highlight=False)
+def _solvers(
+    solver: SolverName, preset: PresetName, geometry: GeometryName
+) -> tuple[AbstractSolver | None, AbstractSolver | None]:
+    """The solvers of the last and of the first steps; None: the usual ones of `invert`."""
+    if (solver, preset, geometry) == _USUAL_SOLVER:
+        return None, None
+    return make_solver(solver, preset, geometry), make_solver(solver, PresetName.draft, geometry)
 
 
 @app.command("predict")

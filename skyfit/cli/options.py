@@ -50,6 +50,14 @@ class GeometryName(StrEnum):
     spherical = "spherical"
 
 
+class LossName(StrEnum):
+    """Losses of a fit."""
+
+    squares = "squares"
+    huber = "huber"
+    cauchy = "cauchy"
+
+
 SolverOption = Annotated[
     SolverName, typer.Option(help="all orders of scattering, two, one, Klassen's shells, Hoffman's uniform air")
 ]

@@ -6,10 +6,11 @@ import numpy as np
 
 from ..scene import Sky
 from .screening import assemble, Contents
-from .units import is_nanometre, is_radian, RADIANCE, radiance_factor
+from .units import IRRADIANCE, irradiance_factor, is_nanometre, is_radian, RADIANCE, radiance_factor
 
 
 _AXES = ("time", "direction", "wavelength")
+_BEAM = "direct_normal_irradiance"
 _STATION = {
     "latitude": ("latitude",),
     "longitude": ("longitude",),
@@ -25,13 +26,15 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
     **Arguments**
 
     - `path`: NetCDF 4 (HDF5) or NetCDF 3; dimensions direction, wavelength and optionally time;
-      variables `radiance`, optionally `sigma`, `suspect` (1 = masked); coordinates `view_zenith`,
+      variables `radiance`, optionally `sigma`, `suspect` (1 = masked), `direct_normal_irradiance` [time, wavelength]
+      and `direct_normal_irradiance_sigma`; coordinates `view_zenith`,
       `view_azimuth`, `wavelength`; `sun_zenith` and `sun_azimuth`, or latitude, longitude and time
     - `station`: numbers that stand instead of the file's own, by name
 
     **Returns** a `Sky`. `sun_azimuth_instrument`, where finite, stands before `sun_azimuth`.
 
-    **Valid** units W m-2 sr-1 nm-1 in any common spelling; mW, um, cm are converted, with a note.
+    **Valid** units W m-2 sr-1 nm-1 in any common spelling; mW, um, cm are converted, with a note; the
+    irradiance of the sun's beam W m-2 nm-1 alike.
     """
     data = load_dataset(path)
     name = path.name
@@ -52,6 +55,8 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
     sun_zenith, _ = _angle(name, data, "sun_zenith", ("time",), shape[0])
     sun_azimuth, note = _sun_azimuth(name, data, shape[0])
     notes += note
+    direct, direct_sigma, converted = _beam(name, data, radiance)
+    notes += converted
     found = _station(name, data)
     found.update(station)
     return assemble(
@@ -60,6 +65,8 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
             radiance=_numbers(name, radiance) * factor,
             sigma=sigma,
             suspect=suspect,
+            direct=direct,
+            direct_sigma=direct_sigma,
             view_zenith=zenith,
             view_azimuth=azimuth,
             wavelength=_wavelength(name, data),
@@ -130,11 +137,28 @@ def _radiance(name, data):
     return radiance.transpose(*_AXES), factor, notes
 
 
-def _factor(name, variable, units):
+def _beam(name, data, radiance):
+    """Direct normal irradiance and its sigma, [time, wavelength], and what was converted; None where absent."""
+    if _BEAM not in data:
+        return None, None, []
+    across = radiance.isel(direction=0)
+    units = data[_BEAM].attrs.get("units")
+    factor = _factor(name, _BEAM, units, IRRADIANCE)
+    notes = [] if factor == 1.0 else [f"direct normal irradiance converted from {units} to {IRRADIANCE}"]
+    direct = factor * _spread(name, data, _BEAM, across.dims, across)
+    key = f"{_BEAM}_sigma"
+    if key not in data:
+        return direct, None, notes
+    units = data[key].attrs.get("units")
+    sigma = _spread(name, data, key, across.dims, across)
+    return direct, sigma * (factor if units is None else _factor(name, key, units, IRRADIANCE)), notes
+
+
+def _factor(name, variable, units, wanted=RADIANCE):
     if units is None:
-        raise ValueError(f"{name}: variable `{variable}`: expected units {RADIANCE}, found none")
+        raise ValueError(f"{name}: variable `{variable}`: expected units {wanted}, found none")
     try:
-        return radiance_factor(str(units))
+        return (radiance_factor if wanted == RADIANCE else irradiance_factor)(str(units))
     except ValueError as error:
         raise ValueError(f"{name}: variable `{variable}`: {error}") from None
 
@@ -275,6 +299,12 @@ def write_netcdf(sky: Sky, path: Path) -> None:
     }
     if sky.sigma is not None:
         variables["sigma"] = (_AXES, sky.sigma, {"units": RADIANCE, "long_name": "standard deviation of radiance"})
+    if sky.direct_irradiance is not None:
+        about = {"units": IRRADIANCE, "long_name": "irradiance of the sun's beam on a plane normal to it"}
+        variables[_BEAM] = (("time", "wavelength"), sky.direct_irradiance, about)
+    if sky.direct_sigma is not None:
+        about = {"units": IRRADIANCE, "long_name": f"standard deviation of {_BEAM}"}
+        variables[f"{_BEAM}_sigma"] = (("time", "wavelength"), sky.direct_sigma, about)
     clockwise = {"units": "degree", "comment": "clockwise from north"}
     coordinates = {
         "wavelength": ("wavelength", sky.wavelength_nm, {"units": "nm"}),

@@ -1,14 +1,16 @@
 r"""The form of a fit's JSON record, and the check that a file has it.
 
 `skyfit.save(fit, "*.json")` writes strict JSON (UTF-8; what is not finite is null) of the schema
-"skyfit.fit", version 1. Angles are in degrees, azimuth clockwise from north; a value has its unit beside it.
+"skyfit.fit", version 2. Angles are in degrees, azimuth clockwise from north; a value has its unit beside it.
 
-    schema, version       "skyfit.fit", 1
+    schema, version       "skyfit.fit", 2
     skyfit_version        of the package that wrote the file, or null
     source                name of the measured file
     solver                name: class in skyfit.transport; then all its settings by name
     geometry              "flat" or "spherical", that of the solver
-    instrument            fwhm_nm: Gaussian line shape, null for none
+    instrument
+      fwhm_nm             Gaussian line shape, null for none
+      response            null, or wavelength_nm and weight [channel][wavelength]: the samples are channels
     station               latitude_deg, longitude_deg, altitude_m, pressure_pa; null where unknown
     atmosphere            what the parameters do not tell
       rayleigh, aerosol, ozone                          class of the constituent, null where absent
@@ -16,19 +18,33 @@ r"""The form of a fit's JSON record, and the check that a file has it.
       phase, rayleigh_phase                             class of the phase function: haze, air
       aerosol_profile, rayleigh_profile, ozone_profile  class of the vertical profile
       constants                                         numbers that no parameter names, SI, by their place
+    measurement           relative, floor, calibration (null: by the file, else the default), model_error,
+                          field_of_view_deg, loss, threshold as in skyfit.Measurement;
+                          calibration_prior: sigma of each wavelength's scale that the fit took, 0: exact
+    priors                name: {value, sigma, unit}
+    smooth                name: {sigma_per_hour, unit}; of a positive parameter that of its logarithm, unit "1"
     free                  names of the fitted parameters, in the order of each correlation matrix
-    shared                parameters (as in times) and correlation of what all times share; none yet
+    shared                what all times have in common
+      parameters          name: {value, unit, sigma, model_sigma, at_bound, determined}
+      correlation         [parameter][parameter] of these alone, in the order of `free`
     fixed                 name: {value, unit}
+    calibration           the instrument's scale at the fitted wavelengths; 1 and sigma 0 where it was not fitted
+      wavelength_nm       [wavelength]
+      scale, sigma        [time][wavelength], of one row where all times share it
     times                 one entry a time
       time                ISO 8601 in UTC, or null
       sun_zenith_deg, sun_azimuth_deg
-      parameters          name: {value, unit, sigma, at_bound, determined}
-      correlation         [parameter][parameter]
+      parameters          those of this time alone, as in shared; sigma holds model_sigma, the model's error
+      correlation         [parameter][parameter] of all that are free
       result, steps       how the solve ended, and after how many steps
       rmse, rmse_unit     over the usable samples
       samples             how many those are
       masked              reason: count of the others
-      reduced_chi_square  has scaled sigma where it exceeds 1
+      reduced_chi_square  by the stated noise
+      scale               how many times the stated noise sigma is of
+      degrees_of_freedom  how many parameters the data, not the priors, determine
+      rejected            directions that the loss trusts less than half: view_zenith_deg, view_azimuth_deg,
+                          weight (mean over wavelengths)
       undetermined        sentences on what the data leave open
     total_rmse            over the usable samples of all times, in rmse_unit
     notes                 sentences on the file and the fit
@@ -38,11 +54,12 @@ import json
 from pathlib import Path
 
 
-SCHEMA, VERSION = "skyfit.fit", 1
+SCHEMA, VERSION = "skyfit.fit", 2
 _NUMBER, _TEXT, _COUNT, _FLAG = "a number", "text", "a count", "true or false"
-_NUMBER_OR_NULL, _TEXT_OR_NULL = "a number or null", "text or null"
+_NUMBER_OR_NULL, _TEXT_OR_NULL, _OBJECT_OR_NULL = "a number or null", "text or null", "an object or null"
 _FITTED = {
-    "value": _NUMBER, "unit": _TEXT, "sigma": _NUMBER_OR_NULL, "at_bound": _FLAG, "determined": _FLAG
+    "value": _NUMBER, "unit": _TEXT, "sigma": _NUMBER_OR_NULL, "model_sigma": _NUMBER_OR_NULL, "at_bound": _FLAG,
+    "determined": _FLAG,
 }  # fmt: skip
 # a dict lists the keys that must be there; one of `_ANY` holds any keys, each of that form
 _ANY = "*"
@@ -53,7 +70,7 @@ _FORM = {
     "source": _TEXT,
     "solver": {"name": _TEXT},
     "geometry": _TEXT,
-    "instrument": {"fwhm_nm": _NUMBER_OR_NULL},
+    "instrument": {"fwhm_nm": _NUMBER_OR_NULL, "response": _OBJECT_OR_NULL},
     "station": dict.fromkeys(("latitude_deg", "longitude_deg", "altitude_m", "pressure_pa"), _NUMBER_OR_NULL),
     "atmosphere": {
         **dict.fromkeys(("rayleigh", "aerosol", "ozone", "rayleigh_formula"), _TEXT_OR_NULL),
@@ -61,9 +78,17 @@ _FORM = {
         **dict.fromkeys(("aerosol_profile", "rayleigh_profile", "ozone_profile"), _TEXT_OR_NULL),
         "constants": {},
     },
+    "measurement": {
+        **dict.fromkeys(("relative", "floor", "calibration"), _NUMBER_OR_NULL),
+        **dict.fromkeys(("calibration_prior", "model_error", "field_of_view_deg", "threshold"), _NUMBER),
+        "loss": _TEXT,
+    },
+    "priors": {_ANY: {"value": _NUMBER, "sigma": _NUMBER, "unit": _TEXT}},
+    "smooth": {_ANY: {"sigma_per_hour": _NUMBER, "unit": _TEXT}},
     "free": [_TEXT],
     "shared": {"parameters": {_ANY: _FITTED}, "correlation": [[_NUMBER_OR_NULL]]},
     "fixed": {_ANY: {"value": _NUMBER, "unit": _TEXT}},
+    "calibration": {"wavelength_nm": [_NUMBER], "scale": [[_NUMBER]], "sigma": [[_NUMBER_OR_NULL]]},
     "times": [
         {
             "time": _TEXT_OR_NULL,
@@ -78,6 +103,9 @@ _FORM = {
             "samples": _COUNT,
             "masked": {_ANY: _COUNT},
             "reduced_chi_square": _NUMBER_OR_NULL,
+            "scale": _NUMBER_OR_NULL,
+            "degrees_of_freedom": _NUMBER_OR_NULL,
+            "rejected": [dict.fromkeys(("view_zenith_deg", "view_azimuth_deg", "weight"), _NUMBER)],
             "undetermined": [_TEXT],
         }
     ],
@@ -105,7 +133,8 @@ def parse(path: Path) -> dict:
         found = record.get("schema") if isinstance(record, dict) else None
         raise ValueError(f'key `schema`: expected "{SCHEMA}", found {shown(found)}')
     if record.get("version") != VERSION:
-        raise ValueError(f"key `version`: expected {VERSION}, found {shown(record.get('version'))}")
+        advice = ", of an older skyfit: fit the sky again with it" if record.get("version") == 1 else ""
+        raise ValueError(f"key `version`: expected {VERSION}, found {shown(record.get('version'))}{advice}")
     _check(record, _FORM, "")
     return record
 
@@ -130,6 +159,7 @@ def _check(value, form, key: str) -> None:
             _NUMBER_OR_NULL: value is None or is_number(value),
             _TEXT: isinstance(value, str),
             _TEXT_OR_NULL: value is None or isinstance(value, str),
+            _OBJECT_OR_NULL: value is None or isinstance(value, dict),
             _COUNT: type(value) is int and value >= 0,
             _FLAG: type(value) is bool,
         }

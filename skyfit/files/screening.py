@@ -15,6 +15,8 @@ _FILL = 1e30
 _SATURATED_RUN = 4
 # The widest zenith angle that could be pi/2 in radians, with room for rounding.
 _RADIAN_LIMIT = 1.6
+# W m^-2 nm^-1; the sun sends 2.3 at most at the top of the air, a few per cent more in January (ASTM G173)
+_BRIGHTEST_BEAM = 3.0
 # a wavelength past this is no nm: spectrometers of sky light end at 2500 nm, and 3000 angstrom is 300 nm
 _LONGEST_NM = 2600.0
 
@@ -27,6 +29,7 @@ class Contents:
     latitude, longitude, altitude_m, pressure_pa, fwhm_nm; `suspect` is True where masked;
     `rows`: axis -> the row where each of its values first stands, for errors; `angles_known`: the
     file said radians, so that no small angle is suspicious; `turned`: azimuths are in the instrument's own frame.
+    `direct`, `direct_sigma`: irradiance of the sun's beam and its standard deviation, W m^-2 nm^-1, [time, wavelength].
     """
 
     name: str
@@ -39,6 +42,8 @@ class Contents:
     sun_azimuth: np.ndarray
     sigma: np.ndarray | None = None
     suspect: np.ndarray | None = None
+    direct: np.ndarray | None = None
+    direct_sigma: np.ndarray | None = None
     station: dict[str, float] = field(default_factory=dict)
     saturation: float | None = None
     notes: list[str] = field(default_factory=list)
@@ -64,6 +69,7 @@ def assemble(found: Contents) -> Sky:
     sigma = None if found.sigma is None else found.sigma[..., order]
     suspect = None if found.suspect is None else found.suspect[..., order]
     radiance, usable, masked = screen(radiance, sigma, suspect, zenith, found.saturation)
+    direct, direct_sigma = _check_beam(found, order)
     sun_zenith, sun_azimuth = _place_sun(found)
     found.notes += _small_angles(found, zenith, azimuth, sun_zenith, sun_azimuth)
     station = found.station
@@ -83,6 +89,8 @@ def assemble(found: Contents) -> Sky:
             altitude_m=station.get("altitude_m", np.nan),
             pressure_pa=station.get("pressure_pa", np.nan),
             fwhm_nm=station.get("fwhm_nm", np.nan),
+            direct_irradiance=direct,
+            direct_sigma=direct_sigma,
             masked=masked,
             # A file that skyfit wrote already carries its notes: each is said once.
             notes=tuple(dict.fromkeys(found.notes)),
@@ -90,6 +98,23 @@ def assemble(found: Contents) -> Sky:
         )
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
+
+
+def _check_beam(found, order):
+    """The sun's beam by wavelength, NaN where it is no irradiance; refused where no sun sends so much."""
+    if found.direct is None:
+        return None, None
+    direct = np.array(found.direct[:, order], dtype=np.float64)
+    beam = np.isfinite(direct) & (direct >= 0.0) & (direct < _FILL)
+    if np.any(beam & (direct > _BRIGHTEST_BEAM)):
+        raise ValueError(
+            f"{found.name}: variable `direct_normal_irradiance`: expected {_BRIGHTEST_BEAM:g} W m-2 nm-1 at most, "
+            f"found {np.max(direct[beam]):g}; is this mW, or per um?"
+        )
+    left_out = int(np.count_nonzero(~beam & ~np.isnan(direct)))
+    if left_out:
+        found.notes.append(f"{left_out} direct irradiances that are negative or infinite left out")
+    return np.where(beam, direct, np.nan), None if found.direct_sigma is None else found.direct_sigma[:, order]
 
 
 def screen(

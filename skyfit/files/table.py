@@ -24,6 +24,7 @@ _EMPTY = {
     "sigma": np.nan,
     "suspect": 0.0,
     **dict.fromkeys(("sun_zenith", "sun_azimuth", "latitude", "longitude"), np.nan),
+    **dict.fromkeys(("direct_normal_irradiance", "direct_normal_irradiance_sigma"), np.nan),
 }
 _UNKNOWN = np.datetime64("NaT", "ns").astype(np.int64).item()
 _STATION = {
@@ -37,6 +38,8 @@ _STATION = {
 # Per row these say one thing per time, or one for the whole file.
 _PER_TIME = ("sun_zenith", "sun_azimuth")
 _PER_FILE = ("latitude", "longitude")
+# and these one thing per time and wavelength
+_BEAM = ("direct_normal_irradiance", "direct_normal_irradiance_sigma")
 # A grid this large and this empty comes from samples that share no grid.
 _LARGEST_GRID = 20_000_000
 _EMPTIEST_GRID = 100
@@ -51,7 +54,8 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
 
     - `path`: columns view_zenith, view_azimuth (degrees), wavelength (nm), radiance
       (W m^-2 sr^-1 nm^-1), optionally time (ISO, UTC), sigma, suspect (1 = masked), sun_zenith,
-      sun_azimuth, latitude, longitude; lines `# key: value` above carry latitude, longitude,
+      sun_azimuth, latitude, longitude, direct_normal_irradiance and direct_normal_irradiance_sigma (W m^-2 nm^-1, the
+      same in all rows of a time and wavelength); lines `# key: value` above carry latitude, longitude,
       altitude_m, pressure_pa, fwhm_nm, saturation, units
     - `station`: numbers that stand instead of the file's own, by name
 
@@ -99,6 +103,7 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
             place = _shared(name, lines, key, number[key], np.zeros_like(index[0]), "file")
             if np.isfinite(place[0]):
                 numbers[key] = float(place[0])
+    beam = [_beam(name, lines, key, number, index, shape) for key in _BEAM]
     numbers.update(station)
     unused = [key for key in header if key not in number and key != "time"]
     if unused:
@@ -122,6 +127,8 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
             radiance=gridded("radiance", np.nan) * factor,
             sigma=gridded("sigma", np.nan) * factor if "sigma" in number else None,
             suspect=gridded("suspect", 0.0) != 0.0 if "suspect" in number else None,
+            direct=None if beam[0] is None else beam[0][order],
+            direct_sigma=None if beam[1] is None else beam[1][order],
             view_zenith=zenith,
             view_azimuth=azimuth,
             wavelength=np.array(wavelengths.values()),
@@ -165,6 +172,19 @@ def read_directions(
     zenith, azimuth = np.array(angles).T
     check_angles(name, zenith, azimuth)
     return np.deg2rad(zenith), np.deg2rad(azimuth)
+
+
+def read_numbers(path: Path) -> tuple[list[str], Float[np.ndarray, "row column"]]:
+    """The header and the numbers of a CSV of numbers alone.
+
+    **Valid** a cell that is no finite number is a `ValueError` with its row.
+    """
+    header, _, rows = _open(path)
+    numbers = [
+        [_number(path.name, line, key, cell, None) for key, cell in zip(header, cells, strict=True)]
+        for line, cells in rows
+    ]
+    return header, np.array(numbers).reshape(-1, len(header))
 
 
 def _open(path):
@@ -281,6 +301,16 @@ def _shared(name, lines, key, values, group, scope):
     return values[first]
 
 
+def _beam(name, lines, key, number, index, shape):
+    """A column of the sun's beam, [time, wavelength], NaN where the table has no row; None where it is absent."""
+    if key not in number:
+        return None
+    places, group = np.unique(index[0] * shape[2] + index[2], return_inverse=True)
+    values = np.full(shape[0] * shape[2], np.nan)
+    values[places] = _shared(name, lines, key, number[key], group, "time and wavelength")
+    return values.reshape(shape[0], shape[2])
+
+
 def _check_grid(name, shape, count):
     size = shape[0] * shape[1] * shape[2]
     if size > _LARGEST_GRID and size > _EMPTIEST_GRID * count:
@@ -331,6 +361,8 @@ def write_tidy(sky: Sky, path: Path) -> None:
         )
     header = (["time"] if timed else []) + list(_REQUIRED)
     header += (["sigma"] if sky.sigma is not None else []) + ["suspect", *_PER_TIME]
+    beam = [values for values in (sky.direct_irradiance, sky.direct_sigma) if values is not None]
+    header += _BEAM[: len(beam)]
     sun_zenith, sun_azimuth = degrees(sky.sun_zenith).tolist(), degrees(sky.sun_azimuth).tolist()
     wavelengths = sky.wavelength_nm.tolist()
     with open(path, "w", encoding="utf-8", newline="") as stream:
@@ -350,7 +382,8 @@ def write_tidy(sky: Sky, path: Path) -> None:
                 for place, wavelength in enumerate(wavelengths):
                     row = [*start, *angles, wavelength, _cell(rows[place])]
                     row += [] if sigma is None else [_cell(sigma[place])]
-                    writer.writerow([*row, masked[place], sun_zenith[time], sun_azimuth[time]])
+                    row += [masked[place], sun_zenith[time], sun_azimuth[time]]
+                    writer.writerow([*row, *(_cell(float(values[time, place])) for values in beam)])
 
 
 def _iso(moment):

@@ -3,7 +3,7 @@
 import re
 
 
-RADIANCE = "W m-2 sr-1 nm-1"
+RADIANCE, IRRADIANCE = "W m-2 sr-1 nm-1", "W m-2 nm-1"
 
 _SPELLINGS = {
     "µ": "u",
@@ -50,13 +50,22 @@ def radiance_factor(units: str) -> float:
 
     **Valid** power per area, solid angle and wavelength; anything else is a `ValueError`.
     """
+    return _factor(units, RADIANCE)
+
+
+def irradiance_factor(units: str) -> float:
+    """The factor that turns a spectral irradiance in `units` into W m^-2 nm^-1, as `radiance_factor` does."""
+    return _factor(units, IRRADIANCE)
+
+
+def _factor(units, wanted):
     text = units
     for old, new in _SPELLINGS.items():
         text = text.replace(old, new)
     # "W.m-2.sr-1": a point between letters or digits is a product.
     text = re.sub(r"(?<=\w)\.(?=[A-Za-z])", " ", text)
     scale, power, length, solid = 1.0, 0, 0, 0
-    for name, exponent in _factors(text, units):
+    for name, exponent in _factors(text, units, wanted):
         singular = name[:-1] if name.endswith("s") and name[:-1] in _LENGTH else name
         if name in _POWER:
             scale, power = scale * _POWER[name] ** exponent, power + exponent
@@ -65,14 +74,14 @@ def radiance_factor(units: str) -> float:
         elif name in _ANGLE:
             solid += exponent
         else:
-            raise ValueError(f"expected units {RADIANCE}, found {units!r}")
-    if (power, length, solid) != (1, -3, -1):
-        raise ValueError(f"expected units {RADIANCE}, found {units!r}")
+            raise ValueError(f"expected units {wanted}, found {units!r}")
+    if (power, length, solid) != (1, -3, -1 if wanted == RADIANCE else 0):
+        raise ValueError(f"expected units {wanted}, found {units!r}")
     factor = scale / 1e9
     return 1.0 if abs(factor - 1.0) < 1e-12 else factor
 
 
-def _factors(text, units):
+def _factors(text, units, wanted):
     """(name, exponent) of a product; a slash divides by what follows, or by its bracket."""
     factors, sign, in_bracket, place = [], 1, False, 0
     text = text.strip()
@@ -89,7 +98,7 @@ def _factors(text, units):
         else:
             match = re.compile(r"([A-Za-z]+)\s*\^?\s*([+-]?\d+)?").match(text, place)
             if match is None:
-                raise ValueError(f"expected units {RADIANCE}, found {units!r}")
+                raise ValueError(f"expected units {wanted}, found {units!r}")
             factors.append((match[1], sign * int(match[2] or 1)))
             place = match.end()
             if not in_bracket:

@@ -68,7 +68,7 @@ def blocks_of(jacobian, residual: Rows, point: Point) -> Blocks:
     none = jnp.zeros((2 * own, shared), point.own.dtype)
     seeds = Point(jnp.concatenate([seeds, nothing]), jnp.concatenate([none, jnp.eye(shared, dtype=none.dtype)]))
     columns = jax.vmap(jacobian.mv)(seeds)
-    data, step = columns.data, columns.step[: 2 * own].reshape(2, own, -1, own)
+    data, step = columns.data, columns.step[: 2 * own].reshape(2, own, times - 1, own)
     link = jnp.stack([jnp.diagonal(step[i], axis1=0, axis2=2) for i in range(2)])
     first = (jnp.arange(link.shape[1]) % 2 == 0)[:, None]
     return Blocks(
@@ -284,10 +284,13 @@ class ChainDescent(optx.AbstractDescent):
         held = jax.tree.map(
             lambda out, s, d: jnp.maximum(out, ((s != 0.0) & (jnp.sign(d) == s)).astype(d.dtype)), outward, side, again
         )
-        change = moved(held)
+        more = jax.tree.reduce(jnp.logical_or, jax.tree.map(lambda h, o: jnp.any(h != o), held, outward))
+        change = jax.lax.cond(more, moved, lambda _: again, held)
         # a logistic curve is straight for about this far
         bounded = jax.tree.map(
-            lambda d, limit: jnp.where(jnp.isfinite(limit), jnp.clip(d, -self.longest, self.longest), d), change, self.limit
+            lambda d, limit: jnp.where(jnp.isfinite(limit), jnp.clip(d, -self.longest, self.longest), d),
+            change,
+            self.limit,
         )
         return jax.tree.map(lambda p, d, limit: jnp.clip(p + d, -limit, limit) - p, state.point, bounded, self.limit)
 
@@ -322,10 +325,10 @@ class ChainMarquardt(optx.AbstractGaussNewton):
 def minimise(rows, point: Point, arguments, limit: Point, linear: int, max_steps: int):
     """The least sum of squares within |unknown| <= `limit` by Levenberg-Marquardt on optimistix' loop.
 
-    **Arguments:** `rows(point, arguments)` gives `Rows`, linear about `point`, and what is known besides; `linear` as in
-    `ChainDescent`.
+    **Arguments:** `rows(point, arguments)` gives `Rows`, linear about `point`, and what is known besides; `linear` as
+    in `ChainDescent`.
     **Returns:** the point, what `rows` knew at it, the number of steps and optimistix' result; nothing is raised.
     """
-    solver = ChainMarquardt(ChainDescent(limit, linear))
+    solver = ChainMarquardt(descent=ChainDescent(limit, linear))
     solution = optx.least_squares(rows, solver, point, arguments, has_aux=True, max_steps=max_steps, throw=False)
     return solution.value, solution.state.aux, solution.stats["num_steps"], solution.result

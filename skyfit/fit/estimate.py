@@ -8,10 +8,22 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..scene import as_float, haversine
 from ..transport import AbstractSolver
-from .chain import Blocks, damped, marginal_rows, minimise, Point, reduced, Rows, solve_chain
-from .measurement import error_shapes, Loss, robust
-from .parameters import PARAMETERS, SkyModel, with_values
-from .problem import observe, Problem
+from .chain import Blocks, damped, marginal_rows, minimise, Point, solve_chain
+from .measurement import error_shapes, robust
+from .parameters import PARAMETERS, SkyModel
+from .problem import Problem
+from .residuals import (
+    bound,
+    instrument_gain,
+    Known,
+    objective,
+    on_scale,
+    Priors,
+    reduced_time,
+    Setup,
+    shared_priors,
+    whitened,
+)
 from .solve import covariance, LOGISTIC_LIMIT
 
 
@@ -21,51 +33,14 @@ _GUARD = 1e-6
 _MEDIAN_SIZE = 1.4826
 
 
-class Setup(NamedTuple):
-    """What a fit is asked for, all static: names of each time's own and of the shared parameters, loss, steps."""
-
-    own: tuple[str, ...]
-    shared: tuple[str, ...]
-    loss: Loss
-    threshold: float
-    model_error: float
-    calibrated: bool
-    max_steps: int
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return self.own + self.shared
-
-
-class Priors(NamedTuple):
-    """Gaussian priors on each parameter's scale: centre and one over sigma (0: none), in the order own, shared.
-
-    `calibration`: one over the sigma of a wavelength's scale. `step`: one over the sigma of the change between two
-    neighbours in time.
-    """
-
-    centre: Float[Array, " parameter"]
-    weight: Float[Array, " parameter"]
-    calibration: Float[Array, ""]
-    step: Float[Array, "step own"]
-
-
-class Known(NamedTuple):
-    """What the solver said at the last point that was accepted."""
-
-    radiance: Float[Array, "time direction channel"]
-    direct: Float[Array, "time channel"] | None
-    jacobian: Float[Array, "time sample parameter"]
-
-
 class Estimate(NamedTuple):
     """The outcome for some times; arrays only, so that it passes through jit and vmap.
 
     `values` and covariances are in the order own, shared, in the parameters' stated units. `noise` is the covariance by
-    noise, priors included, already widened by `scale` squared; `model` that by the model's stated error. `chi_square` is
-    of all samples, those that the loss trusts less too. `triangle` has
-    the scaled Jacobian's singular values. `radiance`: what the instrument would read of the end. `gain`: d parameter /
-    d radiance of the same time. `cost`: half the sum of squares after the loss.
+    noise, priors included, already widened by `scale` squared; `model` that by the model's stated error. `chi_square`
+    is of all samples, those that the loss trusts less too. `triangle` has the scaled Jacobian's singular values.
+    `radiance`: what the instrument would read of the end. `gain`: d parameter / d radiance of the same time. `cost`:
+    half the sum of squares after the loss.
     """
 
     values: Float[Array, "time parameter"]
@@ -86,149 +61,6 @@ class Estimate(NamedTuple):
     result: Any
 
 
-def bound(names: tuple[str, ...], free: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
-    """Values of unconstrained numbers, in the parameters' stated units."""
-    return jnp.stack([PARAMETERS[n].bound(free[i]) for i, n in enumerate(names)])
-
-
-def _scaled(names: tuple[str, ...], free: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
-    return jnp.stack([PARAMETERS[n].on_scale(free[i]) for i, n in enumerate(names)])
-
-
-def _with_slope(function, names: tuple[str, ...], free):
-    """A map that acts on each number by itself, and its derivative."""
-    return jax.jvp(lambda v: function(names, v), (free,), (jnp.ones_like(free),))
-
-
-def _samples(one: Problem, radiance, direct):
-    """Sky and direct beam in one row of samples."""
-    return radiance.reshape(-1) if one.direct is None else jnp.concatenate([radiance.reshape(-1), direct])
-
-
-def _whitened(problem: Problem, known: Known, calibration, scale):
-    """Residuals over sigma and weights over all samples of each time, `[time, sample]`, and the model beside them."""
-    model = known.radiance * calibration[None, None]
-    weight = (problem.weight / scale[:, None, None]).reshape(model.shape[0], -1)
-    residual = (model - problem.measured).reshape(model.shape[0], -1)
-    if known.direct is None:
-        return residual * weight, weight
-    direct = (known.direct - problem.direct) * problem.direct_weight / scale[:, None]
-    weights = jnp.concatenate([weight, problem.direct_weight / scale[:, None]], axis=1)
-    return jnp.concatenate([residual * weight, direct], axis=1), weights
-
-
-def _reduced_time(own, common, by_channel, right, channels: int):
-    """One time's rows as few: each channel's scale touches its own samples only, and goes first.
-
-    `by_channel`: derivative of each sky sample by its channel's scale, `[direction, channel]`, or None. Returns own,
-    common (the channels' scales last) and right-hand sides of a channel's and a parameter's rows.
-    """
-    width = own.shape[1], common.shape[1]
-    count = sum(width) + 1
-    if by_channel is None:
-        return reduced(own, common, right, count)
-    sky = by_channel.size
-    everything = jnp.concatenate([own, common, right], axis=1)
-    columns = everything[:sky].reshape(-1, channels, everything.shape[1])
-    length = jnp.sqrt(jnp.sum(by_channel**2, axis=0))
-    unit = by_channel / jnp.where(length > 0.0, length, 1.0)[None]
-    along = jnp.einsum("dc,dcn->cn", unit, columns)
-    across = (columns - unit[..., None] * along[None]).reshape(sky, -1)
-    rest = jnp.concatenate([across, everything[sky:]])
-    rows = reduced(rest[:, : width[0]], rest[:, width[0] : sum(width)], rest[:, sum(width) :], count)
-    nothing = jnp.zeros((count, channels), own.dtype)
-    return (
-        jnp.concatenate([along[:, : width[0]], rows[0]]),
-        jnp.concatenate(
-            [
-                jnp.concatenate([along[:, width[0] : sum(width)], jnp.diag(length)], axis=1),
-                jnp.concatenate([rows[1], nothing], axis=1),
-            ]
-        ),
-        jnp.concatenate([along[:, sum(width) :], rows[2]]),
-    )
-
-
-def _objective(setup: Setup, solver: AbstractSolver):
-    """The rows of all times, linear about the point, for `minimise`."""
-    names, count = setup.names, len(setup.own)
-
-    def rows(point: Point, arguments):
-        fixed, problem, priors, scale = arguments
-        here = jax.lax.stop_gradient(point)
-        times, channels = problem.measured.shape[0], problem.measured.shape[2]
-        shared, calibration = here.shared[: len(setup.shared)], 1.0 + here.shared[len(setup.shared) :]
-        if not setup.calibrated:
-            calibration = jnp.ones(channels, here.own.dtype)
-
-        def known_at(item):
-            own, one = item
-            free = jnp.concatenate([own, shared])
-            values, slope = _with_slope(bound, names, free)
-
-            def readings(values):
-                radiance, direct = observe(solver, with_values(fixed, names, values), one)
-                return _samples(one, radiance, direct), (radiance, direct)
-
-            jacobian, (radiance, direct) = jax.jacfwd(readings, has_aux=True)(values)
-            return Known(radiance, direct, jacobian), slope
-
-        known, slopes = jax.lax.map(known_at, (here.own, problem))
-        residual, weight = _whitened(problem, known, calibration, scale)
-        after = robust(residual, setup.loss, setup.threshold)
-        by_value = known.jacobian * (after.slope * weight * _gain_of(calibration, problem))[..., None]
-        columns = by_value * slopes[:, None]
-
-        def reduced_at(item):
-            columns, value, by_channel = item
-            return _reduced_time(columns[:, :count], columns[:, count:], by_channel, value[:, None], channels)
-
-        by_channel = None
-        if setup.calibrated:
-            by_channel = known.radiance * (after.slope * weight)[:, : known.radiance[0].size].reshape(
-                known.radiance.shape
-            )
-        own, common, right = jax.vmap(reduced_at)((columns, after.value, by_channel))
-        scaled, steep = (
-            jax.vmap(lambda own: _with_slope(_scaled, setup.own, own))(here.own) if count else (here.own, here.own)
-        )
-        prior = (scaled - priors.centre[None, :count]) * priors.weight[None, :count]
-        prior_slope = (steep * priors.weight[None, :count])[:, :, None] * jnp.eye(count, dtype=steep.dtype)[None]
-        own = jnp.concatenate([own, prior_slope], axis=1)
-        common = jnp.concatenate([common, jnp.zeros((times, count, common.shape[2]), common.dtype)], axis=1)
-        right = jnp.concatenate([right[..., 0], prior], axis=1)
-        step = (scaled[1:] - scaled[:-1]) * priors.step
-        shared_value, shared_slope = _shared_priors(setup, here.shared, priors)
-        move = jax.tree.map(jnp.subtract, point, here)
-        data = right + jnp.einsum("trp,tp->tr", own, move.own) + jnp.einsum("trs,s->tr", common, move.shared)
-        stepped = step + priors.step * (steep[1:] * move.own[1:] - steep[:-1] * move.own[:-1])
-        return Rows(data, shared_value + shared_slope * move.shared, stepped), known
-
-    return rows
-
-
-def _gain_of(calibration, problem: Problem):
-    """The instrument's scale of every sample, 1 for the direct beam."""
-    sky = jnp.broadcast_to(calibration[None], problem.measured.shape[1:]).reshape(-1)
-    if problem.direct is None:
-        return sky[None]
-    return jnp.concatenate([sky, jnp.ones(problem.direct.shape[1], sky.dtype)])[None]
-
-
-def _shared_priors(setup: Setup, shared, priors: Priors):
-    """Residuals of the shared parameters' and the scales' priors, and their slopes."""
-    count, first = len(setup.shared), len(setup.own)
-    scales = shared[count:] * priors.calibration
-    if not count:
-        return scales, jnp.broadcast_to(priors.calibration, scales.shape)
-    scaled, steep = _with_slope(_scaled, setup.shared, shared[:count])
-    value = (scaled - priors.centre[first:]) * priors.weight[first:]
-    slope = steep * priors.weight[first:]
-    return jnp.concatenate([value, scales]), jnp.concatenate(
-        [slope, jnp.broadcast_to(priors.calibration, scales.shape)]
-    )
-
-
 def estimate(
     setup: Setup,
     solvers: tuple[AbstractSolver, AbstractSolver],
@@ -239,9 +71,11 @@ def estimate(
 ) -> Estimate:
     """The parameters of some times and what is known of their errors.
 
-    **Arguments:** `solvers` of the first and of the last steps; `fixed`, a model with the values that are not fitted;
-    `starts`, unconstrained numbers, `own` `[start, time, parameter]` and `shared` `[start, shared]`: the first solver
-    goes from each of them, the last one from the best end. The time axis of all is any length; its cost is linear.
+    **Arguments:** `solvers` of the first and of the last steps; the slopes are always the first one's: where the search
+    ends and what a sigma is need them no better than the per cent that the two differ by. `fixed`, a model with the
+    values that are not fitted; `starts`, unconstrained numbers, `own` `[start, time, parameter]` and `shared`
+    `[start, shared]`: the first solver goes from each of them, the last one from the best end. The time axis of all is
+    any length; its cost is linear.
     """
     channels = problem.measured.shape[2]
     none = channels if setup.calibrated else 0
@@ -251,7 +85,7 @@ def estimate(
     ones = jnp.ones(problem.measured.shape[0], dtype)
 
     def run(solver, point, scale):
-        rows = _objective(setup, solver)
+        rows = objective(setup, solver, solvers[0])
         end, known, steps, result = minimise(rows, point, (fixed, problem, priors, scale), limit, none, setup.max_steps)
         return end, known, steps, result
 
@@ -277,19 +111,19 @@ def _calibration(setup: Setup, problem: Problem, end: Point):
 
 def _cost(setup: Setup, problem: Problem, priors: Priors, end: Point, known: Known, scale):
     """Half the sum of squares after the loss, priors included."""
-    residual, _ = _whitened(problem, known, _calibration(setup, problem, end), scale)
+    residual, _ = whitened(problem, known, _calibration(setup, problem, end), scale)
     total = jnp.sum(robust(residual, setup.loss, setup.threshold).value ** 2)
     count = len(setup.own)
     if count:
-        scaled = jax.vmap(lambda own: _scaled(setup.own, own))(end.own)
+        scaled = jax.vmap(lambda own: on_scale(setup.own, own))(end.own)
         total += jnp.sum(((scaled - priors.centre[None, :count]) * priors.weight[None, :count]) ** 2)
         total += jnp.sum(((scaled[1:] - scaled[:-1]) * priors.step) ** 2)
-    return 0.5 * (total + jnp.sum(_shared_priors(setup, end.shared, priors)[0] ** 2))
+    return 0.5 * (total + jnp.sum(shared_priors(setup, end.shared, priors)[0] ** 2))
 
 
 def _noise_scale(setup: Setup, problem: Problem, end: Point, known: Known):
     """How many times the stated sigma the residuals are, per time, 1 at least."""
-    residual, weight = _whitened(problem, known, _calibration(setup, problem, end), jnp.ones(end.own.shape[0]))
+    residual, weight = whitened(problem, known, _calibration(setup, problem, end), jnp.ones(end.own.shape[0]))
     if setup.loss == "squares":
         scale = jnp.sqrt(_chi_square(setup, residual, weight, jnp.ones_like(residual)))
     else:
@@ -314,7 +148,7 @@ def _described(setup: Setup, problem: Problem, priors: Priors, end: Point, known
     values = jax.vmap(lambda free: bound(names, free))(jnp.concatenate([end.own, shared], axis=1))
     calibration = _calibration(setup, problem, end)
     one = jnp.ones(times, values.dtype)
-    raw, raw_weight = _whitened(problem, known, calibration, one)
+    raw, raw_weight = whitened(problem, known, calibration, one)
     scale = _noise_scale(setup, problem, end, known)
     trust = robust(raw / scale[:, None], setup.loss, setup.threshold).weight
     chi = _chi_square(setup, raw, raw_weight, trust)
@@ -323,7 +157,7 @@ def _described(setup: Setup, problem: Problem, priors: Priors, end: Point, known
     weight = jnp.sqrt(trust) * raw_weight / scale[:, None]
     log = jnp.asarray([PARAMETERS[n].log for n in names])
     spread = jnp.where(log[None], values, as_float([PARAMETERS[n].spread(1.0) for n in names])[None])
-    instrument = _gain_of(calibration, problem)
+    instrument = instrument_gain(calibration, problem)
     columns = known.jacobian * (weight * instrument)[..., None] * spread[:, None]
     by_channel = None
     if setup.calibrated:
@@ -332,7 +166,7 @@ def _described(setup: Setup, problem: Problem, priors: Priors, end: Point, known
 
     def reduced_at(item):
         columns, right, by_channel = item
-        return _reduced_time(columns[:, :own_count], columns[:, own_count:], by_channel, right, channels)
+        return reduced_time(columns[:, :own_count], columns[:, own_count:], by_channel, right, channels)
 
     own, common, right = jax.vmap(reduced_at)((columns, errors, by_channel))
     # a prior or a step on the parameter's scale: a unit there is one e-fold, or the range

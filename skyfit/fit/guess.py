@@ -46,7 +46,8 @@ def first_guess(geometry: Geometry, model: SkyModel, free: tuple[str, ...], prob
     )
     costs = np.asarray(_costs(SingleScattering.draft(geometry), model, free, as_float(rows), problem), float)
     best = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
-    return np.where(np.isfinite(costs).any(axis=0)[:, None], rows[best], values)
+    some = np.asarray(np.any(np.isfinite(costs), axis=0))
+    return np.where(some[:, None], rows[best], values)
 
 
 @eqx.filter_jit

@@ -1,6 +1,7 @@
 """From a measured sky to the parameters of its atmosphere."""
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -8,13 +9,14 @@ import numpy as np
 from ..scene import as_float, Scene, Sky, STATION_RANGES
 from ..transport import AbstractSolver, OrdersOfScattering
 from .chain import Point
-from .estimate import Estimate, estimate, Priors, Setup
+from .estimate import Estimate, estimate
 from .guess import first_guess
 from .measurement import Measurement, Response
 from .oddities import examine
 from .parameters import check_free, PARAMETERS, partition, SkyModel, start_model, values_of, with_values
 from .plausible import doubts, poor_fit
 from .problem import Sampling, SPECTRUM_NM, station_pressure
+from .residuals import Priors, Setup
 from .result import Fit, Fitted, in_words, is_determined
 from .solve import result_name
 
@@ -58,15 +60,16 @@ def invert(
     **Arguments**
 
     - `sky` (`skyfit.read`); `free`, names among `PARAMETERS`; `solver`, default `OrdersOfScattering.normal()`
-    - `start`: the values that are not fitted, and those of the free ones where the search begins; with `guess` the haze's
-      optical depth and exponent begin where single scattering explains the sky best; `starts` - 1 random ones besides
+    - `start`: the values that are not fitted, and those of the free ones where the search begins; with `guess` the
+      haze's begin where single scattering explains the sky best; `starts` - 1 random ones besides
     - `fwhm_nm`: line shape (default: the file's, or estimated from the solar lines); `response`: channels of a camera
     - `shared`: free names that all times have in common (`SLOW` names those that do not change within a day); none:
       each time is fitted by itself
     - `measurement`: noise, calibration, field of view, outliers (`Measurement`)
     - `priors`: name -> (value, sigma) in the parameter's unit; of a positive parameter sigma / value is that of its
       logarithm. `smooth`: name -> sigma of its change within an hour, on the same scale, for names that are not shared
-    - `draft`: solver of the first steps (default: the draft of the default solver; else `solver` itself)
+    - `draft`: solver of the first steps and of the slopes throughout (default: `OrdersOfScattering.scout` for
+      `OrdersOfScattering`; else `solver` itself)
     - `max_steps` of Levenberg-Marquardt each; `progress(done, of)` is called after each time that is fitted by itself
 
     **Returns:** a `Fit`. Sigma is that of noise (widened where the residuals exceed it), priors included, and of the
@@ -95,9 +98,11 @@ class Plan:
     ):  # fmt: skip
         self.sky, self.free, shared = sky, tuple(free), tuple(shared)
         self.measurement = Measurement() if measurement is None else measurement
-        if solver is None:
-            solver, draft = OrdersOfScattering.normal(), OrdersOfScattering.draft() if draft is None else draft
-        self.solver, self.draft = solver, solver if draft is None else draft
+        self.solver = OrdersOfScattering.normal() if solver is None else solver
+        if draft is None:
+            whole = isinstance(self.solver, OrdersOfScattering)
+            draft = OrdersOfScattering.scout(self.solver.geometry) if whole else self.solver
+        self.draft = draft
         pressure, assumed = station_pressure(sky)
         self.start = start_model(self.free, pressure) if start is None else start
         check_free(self.free, self.start)
@@ -113,8 +118,9 @@ class Plan:
         self.chosen = self.sampling.chosen()
         if self.chosen.size == 0:
             raise ValueError(f"`sky` has no usable sample at {SPECTRUM_NM[0]:g}-{SPECTRUM_NM[1]:g} nm")
-        own = tuple(n for n in self.free if n not in shared)
-        shared = tuple(n for n in self.free if n in shared)
+        # in an order of their own: the same names in another one are the same program
+        own = tuple(n for n in PARAMETERS if n in self.free and n not in shared)
+        shared = tuple(n for n in PARAMETERS if n in shared)
         calibration = self.measurement.calibration_prior(sky)
         self.setup = Setup(
             own, shared, self.measurement.loss, self.measurement.threshold, self.measurement.model_error,
@@ -204,8 +210,8 @@ class Plan:
         for group, part in zip(groups, parts, strict=True):
             for index, t in enumerate(group):
                 rows[t] = self._row(int(t), index, part, order)
-        stack = {key: np.stack([row[key] for row in rows]) for key in rows[0] if key not in _WORDS}
-        words = {key: tuple(row[key] for row in rows) for key in _WORDS}
+        stack: dict[str, Any] = {key: np.stack([row[key] for row in rows]) for key in rows[0] if key not in _WORDS}
+        words: dict[str, Any] = {key: tuple(row[key] for row in rows) for key in _WORDS}
         judged = sky, stack["model"], self.sampling.used
         notes = (*self.sampling.notes, *doubts(*judged, stack["reduced_chi_square"]))
         pairs = zip(words["result"], poor_fit(*judged), strict=True)
@@ -221,7 +227,9 @@ class Plan:
         )  # fmt: skip
 
     def _row(self, t: int, index: int, part: Estimate, order: np.ndarray) -> dict:
-        found, change = described(self.free, order, part.values[index], part.noise[index], part.model[index])
+        found, change = described(
+            self.free, self.setup.shared, order, part.values[index], part.noise[index], part.model[index]
+        )
         values = found["values"]
         result = result_name(part.result) if bool(part.finite) else "failed"
         calibration = np.asarray(part.calibration, float)
@@ -262,13 +270,15 @@ class Plan:
         }
 
 
-def described(free: tuple[str, ...], order: np.ndarray, values, noise, model) -> tuple[dict, np.ndarray]:
+def described(
+    free: tuple[str, ...], shared: tuple[str, ...], order: np.ndarray, values, noise, model
+) -> tuple[dict, np.ndarray]:
     """What an estimate says of the parameters of one time, in the order in which the user named them.
 
     **Arguments:** `order`, the place of each free name in the arrays; `values`, covariances `noise` and `model`.
     **Returns:** values, sigma, covariance, model_sigma, at_bound, determined; the change that orders the lobes.
     """
-    values, change = _ordered_lobes(free, np.asarray(values, float)[order])
+    values, change = _ordered_lobes(free, shared, np.asarray(values, float)[order])
     noise, model = (_turned(change, np.asarray(v, float)[np.ix_(order, order)]) for v in (noise, model))
     covariance = noise + np.where(np.isfinite(noise), model, 0.0)
     sigma = np.sqrt(np.diag(covariance))
@@ -287,10 +297,12 @@ _WORDS = ("result", "undetermined")
 _LOBES = ("asymmetry", "asymmetry_second", "forward_fraction")
 
 
-def _ordered_lobes(free: tuple[str, ...], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ordered_lobes(free: tuple[str, ...], shared: tuple[str, ...], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The values with the narrower lobe first, which is the same phase function, and the matrix of that change."""
     change = np.eye(len(free))
-    if not set(_LOBES) <= set(free):
+    phase = set(free) & {*_LOBES, "forward_fraction_slope"}
+    # lobes of which only one is shared cannot change places at some of the times
+    if not set(_LOBES) <= phase or phase & set(shared) not in (set(), phase):
         return values, change
     first, second, share = (free.index(name) for name in _LOBES)
     if not values[first] < values[second]:

@@ -217,7 +217,8 @@ def _columns(plan: Plan, index: np.ndarray, ends: list[str], notes: list[str], o
         for key, value in outcome._asdict().items()
     }
     rows = [
-        described(plan.free, order, *row)[0] for row in zip(told["values"], told["noise"], told["model"], strict=True)
+        described(plan.free, (), order, *row)[0]
+        for row in zip(told["values"], told["noise"], told["model"], strict=True)
     ]
     doubts = [
         beyond_sigma(plan.sky, chi) if name == "successful" else ()

@@ -13,8 +13,8 @@ from ..scene import Sky
 
 Loss = Literal["squares", "huber", "cauchy"]
 
-# where a file gives none, of each sample and of the time's median radiance: the residuals of settled measured scans are of
-# this size (experiments/measured_sky.py)
+# where a file gives none, of each sample and of the time's median radiance: so are the residuals of settled measured
+# scans (experiments/measured_sky.py)
 _RELATIVE, _FLOOR = 0.02, 0.05
 # the calibration's prior where the noise is not known either
 _CALIBRATION = 0.01
@@ -28,9 +28,9 @@ class Measurement:
       radiance, added in quadrature. None: the file's sigma, or 0.02 and 0.05 where it has none.
     - `calibration`: standard deviation of the scale of each wavelength, which all times share and the fit finds with
       this prior; 0: exact. None: 0 if the noise is given, by the file or here, else 0.01.
-    - `model_error`: relative size of each of the smooth errors of the model that `sigma` allows for (`error_shapes`): by
-      comparison with other solvers 0.006 for leaving polarisation out and 0.003 for a haze at another height; for skies
-      that a scalar solver made, of known haze height, 0.001 (flat: 0.0005; drafts 0.004 and 0.002).
+    - `model_error`: relative size of each of the smooth errors of the model that `sigma` allows for (`error_shapes`):
+      by comparison with other solvers 0.006 for leaving polarisation out and 0.003 for a haze at another height; for
+      skies that a scalar solver made, of known haze height, 0.001 (flat: 0.0005; drafts 0.004 and 0.002).
     - `field_of_view`: full cone angle of what the instrument sees, radians; 0: a ray.
     - `loss`: of a residual beyond `threshold` standard deviations: "squares", "huber" (linear) or "cauchy"
       (logarithmic), against clouds, masts and flare.
@@ -169,7 +169,7 @@ class Response:
 
     @classmethod
     def xyz(cls) -> "Response":
-        """CIE 1931 Z, Y, X in cd m^-2 (by increasing wavelength); x, y and Y give X = x Y / y, Z = (1 - x - y) Y / y."""
+        """CIE 1931 Z, Y, X in cd m^-2, by increasing wavelength; x, y, Y give X = x Y / y, Z = (1 - x - y) Y / y."""
         wavelength = np.arange(380.0, 781.0, 10.0)
         return cls(wavelength, np.asarray(observer_weights(wavelength), float).T[::-1])
 

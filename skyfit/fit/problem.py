@@ -21,6 +21,8 @@ from .parameters import SkyModel
 GAS_BANDS_NM = ((684.0, 700.0), (714.0, 742.0), (756.0, 774.0), (785.0, 850.0), (890.0, 1000.0))
 SPECTRUM_NM = (300.0, 1100.0)
 _MOST_WAVELENGTHS = 40
+# how many lengths the list of directions can have
+_SIZES = 4
 # of a direct beam whose sigma is not given
 _DIRECT_NOISE = 0.02
 
@@ -145,12 +147,14 @@ class Sampling:
     def problem(self, chosen: np.ndarray, measurement: Measurement) -> tuple[Problem, np.ndarray]:
         """The samples at the chosen wavelengths, and the directions that each time has any of, `[time, direction]`.
 
-        Directions that a time does not use are left out of it; the shorter lists are filled up with their first.
+        Directions that a time does not use are left out of it, a quarter of all or none, so that skies with other masks
+        are rarely another shape to compile for; the lists are filled up with their first.
         """
         sky, used = self.sky, self.used
         sigma = measurement.sigma(sky, used)
-        held = used[:, :, chosen].any(axis=2)
-        most = max(1, int(held.sum(axis=1).max()))
+        held = np.asarray(np.any(used[:, :, chosen], axis=2))
+        quarter = -(-held.shape[1] // _SIZES)
+        most = min(held.shape[1], quarter * max(1, -(-int(held.sum(axis=1).max()) // quarter)))
         places = np.stack([np.resize(np.flatnonzero(h) if h.any() else [0], most) for h in held])
         first = np.arange(most)[None] < np.maximum(held.sum(axis=1), 0)[:, None]
         rows = np.arange(len(sky.time))[:, None]
@@ -198,7 +202,7 @@ class Sampling:
         }
 
     def readings(self, solver: AbstractSolver, model: SkyModel, time: int) -> np.ndarray:
-        """The model at every direction and wavelength or channel, `[direction, wavelength]`; NaN where there is none."""
+        """The model in every direction, at each wavelength or channel, `[direction, wavelength]`; NaN beyond it."""
         sky = self.sky
         nothing = np.zeros((1, len(sky.view_zenith), 1))
         problem = Problem(

@@ -32,12 +32,13 @@ class Fit:
 
     - `values`, `sigma`, `at_bound`, `determined` are `[time, parameter]` in the order of `free`, units as in
       `PARAMETERS`; `covariance` `[time, parameter, parameter]`. Those of `shared` are the same at all times
-    - `sigma` holds noise, `scale` `[time]` times what was stated where the residuals are larger, priors, and `model_sigma`,
-      the part of the model's stated error; `reduced_chi_square` `[time]` is of all samples and the stated noise
+    - `sigma` holds noise, `scale` `[time]` times what was stated where the residuals are larger, priors, and
+      `model_sigma`, the part of the model's stated error; `reduced_chi_square` `[time]` is of all samples and
+      the stated noise
     - `model` is what the instrument would read of the fitted sky on the input's times, directions and wavelengths;
       `rmse` `[time]` is over usable samples, W m^-2 sr^-1 nm^-1
     - `weight` `[time, direction, fitted wavelength]`: 1, less for samples that the loss trusts less, NaN where not used
-    - `gain` `[time, parameter, direction, fitted wavelength]`: change of a parameter by a change of a sample of its time
+    - `gain` `[time, parameter, direction, fitted wavelength]`: change of a parameter by that of a sample of its time
     - `calibration`, `calibration_sigma` `[time, fitted wavelength]`: the instrument's scale, 1 where it is not fitted
     - `degrees_of_freedom` `[time]`: how many parameters the data, not the priors, determine
     - `result` says how each solve ended; `undetermined` `[time]` names in words what the data leave open

@@ -51,6 +51,11 @@ class OrdersOfScattering(AbstractSolver):
         self._resolution().check(self.nodes, self.spectral_nodes)
 
     @classmethod
+    def scout(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
+        """Some per cent: for the first steps of a fit and its slopes."""
+        return cls(streams=4, modes=8, levels=8, orders=2, nodes=8, spectral_nodes=4, geometry=geometry)
+
+    @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
         """Flat: 0.05 % in the median, to 2 % at 85 degrees."""
         return cls(streams=6, modes=12, levels=16, orders=4, nodes=16, spectral_nodes=6, geometry=geometry)

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractConstituent, Atmosphere, Layered
@@ -39,6 +40,7 @@ def _scattered_once(constituents, scene: Scene, extinction, nodes: int, geometry
     column = jnp.stack([e + s for e, s in zip(to_eye, to_sun, strict=True)], axis=-1)
     scatterers = [constituents[i] for i in scatterer_indices(constituents)]
     source = jnp.stack([step * c.profile.density(points.height) for c in scatterers], axis=1)
+    source, column = jax.lax.optimization_barrier((source, column))
     integral = _dimmed(source, column, extinction)
     scattering = optics(constituents, scene.wavelength_nm).scattering
     total = jnp.zeros_like(integral[:, 0])
@@ -61,9 +63,9 @@ def _dimmed(
     return source @ jnp.exp(-(column @ extinction))
 
 
-@_dimmed.defjvp
 def _dimmed_tangent(primals, tangents):
-    source, column, extinction = primals
+    # kept apart, or the compiler works out the columns anew for each tangent
+    source, column, extinction = jax.lax.optimization_barrier(primals)
     source_dot, column_dot, extinction_dot = tangents
     transmittance = jnp.exp(-(column @ extinction))
 
@@ -71,10 +73,19 @@ def _dimmed_tangent(primals, tangents):
         terms = jnp.einsum("dsn,dnc->dscn", source, columns)
         return jnp.einsum("dscn,dnw->dscw", terms, transmittance)
 
-    tangent = source_dot @ transmittance
-    tangent -= jnp.einsum("dscw,cw->dsw", weighted(column), extinction_dot)
-    tangent -= jnp.einsum("dscw,cw->dsw", weighted(column_dot), extinction)
-    return source @ transmittance, tangent
+    value = source @ transmittance
+    tangent = jnp.zeros_like(value)
+    # what does not move costs nothing
+    if not isinstance(source_dot, SymbolicZero):
+        tangent += source_dot @ transmittance
+    if not isinstance(extinction_dot, SymbolicZero):
+        tangent -= jnp.einsum("dscw,cw->dsw", weighted(column), extinction_dot)
+    if not isinstance(column_dot, SymbolicZero):
+        tangent -= jnp.einsum("dscw,cw->dsw", weighted(column_dot), extinction)
+    return value, tangent
+
+
+_dimmed.defjvp(_dimmed_tangent, symbolic_zeros=True)
 
 
 def scatterer_indices(constituents: tuple[AbstractConstituent, ...]) -> tuple[int, ...]:

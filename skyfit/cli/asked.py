@@ -1,0 +1,99 @@
+"""What `skyfit invert` is asked for, from words to settings."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..files import read_response
+from ..fit import check_free, PARAMETERS, Response, SkyModel, SLOW, start_model, station_pressure, with_values
+from ..scene import Sky
+from .options import in_range
+
+
+def names_in(text: str) -> tuple[str, ...]:
+    """Names with commas between them."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def start_of(free: tuple[str, ...], fix: Sequence[str], sky: Sky) -> SkyModel:
+    """The first guess, with the values that the user knows."""
+    start = start_model(free, station_pressure(sky)[0])
+    check_free(free, start)
+    known = {name: _value("--fix", name, text) for name, text in _by_name("--fix", "name=value", fix).items()}
+    for name in known:
+        if name in free:
+            raise ValueError(f"`--fix` must name each parameter once and none of `--free`, got {name!r}")
+    try:
+        check_free((*free, *known), start)
+    except ValueError as error:
+        raise ValueError(f"`--fix` with `--free`: {error}") from None
+    return with_values(start, tuple(known), list(known.values()))
+
+
+def shared_of(
+    free: tuple[str, ...], shared: str | None, independent: bool, smooth: Sequence[str], times: int
+) -> tuple[str, ...]:
+    """What all times have in common: what the user names, else the slow parameters of a file of several times."""
+    if independent:
+        if shared is not None:
+            raise ValueError("`--shared` must be left out with `--independent`")
+        return ()
+    if shared is not None:
+        return names_in(shared)
+    return tuple(name for name in free if name in SLOW and name not in smooth) if times > 1 else ()
+
+
+def priors_of(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Value and sigma of each parameter of which something is known before."""
+    form, priors = "name=value,sigma", {}
+    for name, text in _by_name("--prior", form, texts).items():
+        value, comma, sigma = text.partition(",")
+        if not comma:
+            raise ValueError(f"`--prior` must be {form}, got {name + '=' + text!r}")
+        priors[name] = _value("--prior", name, value), _positive("--prior", name, sigma)
+    return priors
+
+
+def smooth_of(texts: Sequence[str]) -> dict[str, float]:
+    """Sigma of the change within an hour of each parameter that is smooth in time."""
+    entries = _by_name("--smooth", "name=sigma", texts)
+    return {name: _positive("--smooth", name, text) for name, text in entries.items()}
+
+
+def response_of(text: str | None) -> Response | None:
+    """The channels that the samples are of: CIE XYZ, linear sRGB or those of a file."""
+    if text is None:
+        return None
+    return {"xyz": Response.xyz, "srgb": Response.linear_srgb}.get(text, lambda: read_response(Path(text)))()
+
+
+def _by_name(option: str, form: str, texts: Sequence[str]) -> dict[str, str]:
+    entries: dict[str, str] = {}
+    for text in texts:
+        name, _, rest = text.partition("=")
+        if name not in PARAMETERS:
+            raise ValueError(f"`{option}` must name a parameter among {', '.join(PARAMETERS)}; got {name!r}")
+        if name in entries:
+            raise ValueError(f"`{option}` must name each parameter once, got {name!r}")
+        if not rest:
+            raise ValueError(f"`{option}` must be {form}, got {text!r}")
+        entries[name] = rest
+    return entries
+
+
+def _number(option: str, name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"`{option}` of {name} must be a number, got {text!r}") from None
+
+
+def _value(option: str, name: str, text: str) -> float:
+    parameter = PARAMETERS[name]
+    return in_range(f"{option} {name}", _number(option, name, text), parameter.lower, parameter.upper)
+
+
+def _positive(option: str, name: str, text: str) -> float:
+    number = _number(option, name, text)
+    if not 0.0 < number < float("inf"):
+        raise ValueError(f"`{option}` of {name} must have a positive sigma, got {text!r}")
+    return number

@@ -1,0 +1,175 @@
+"""What `skyfit invert` prints of a fit, at 80 columns."""
+
+import numpy as np
+
+from ..fit import Fit, PARAMETERS, time_names
+from .options import console, table
+
+
+# columns of the window, and of what stands between two of a table
+_WIDE, _GAP = 80, 1
+# rejected directions of one time that are named
+_MOST_NAMED = 6
+# of a calibration's prior: what lies further is doubted
+_FAR = 3.0
+_UNIT = "mW m-2 sr-1 nm-1"
+
+
+def print_fit(fit: Fit) -> None:
+    """Tables of the skies and of their parameters, then what a user should know of them, a sentence a line."""
+    places = list(range(len(fit.free)))
+    common = [p for p in places if fit.free[p] in fit.shared]
+    own = [p for p in places if p not in common]
+    _print_skies(fit)
+    if common:
+        _print_parameters(fit, 0, common, "all times")
+    if own and not (len(fit.sky.time) > 1 and _print_compact(fit, own)):
+        for t, name in enumerate(time_names(fit.sky)):
+            _print_parameters(fit, t, own, name)
+    for sentence in [*_open_ends(fit), *_about(fit)]:
+        console.print(sentence, highlight=False)
+
+
+def _print_skies(fit: Fit) -> None:
+    day, names = _times(fit)
+    skies = table(f"{fit.sky.source}: {len(names)} {'sky' if len(names) == 1 else 'skies'}{day and f', {day}'}")
+    factor, unit = (1e3, _UNIT) if fit.response is None else (1.0, "in the unit of the channels")
+    error = "RMSE mW" if fit.response is None else "RMSE"
+    for heading in ("time (UTC)", "zenith", "azimuth", error, "chi2", "dof", "steps"):
+        skies.add_column(heading, justify="right", no_wrap=True)
+    skies.add_column("result")
+    for t, name in enumerate(names):
+        angles = (f"{np.degrees(angle[t]):.2f}" for angle in (fit.sky.sun_zenith, fit.sky.sun_azimuth))
+        chi_square, freedom = f"{fit.reduced_chi_square[t]:.2f}", f"{fit.degrees_of_freedom[t]:.1f}"
+        skies.add_row(
+            name, *angles, f"{factor * fit.rmse[t]:.2f}", chi_square, freedom, f"{fit.steps[t]}",
+            fit.result[t].replace("_", " "),
+        )  # fmt: skip
+    console.print(skies)
+    console.print(
+        f"RMSE over all: {factor * fit.total_rmse:.2f} {unit} ({int(fit.used.sum())} samples)", highlight=False
+    )
+
+
+def _times(fit: Fit) -> tuple[str, list[str]]:
+    """The day, if it is the same of several times, and each time as short as that allows."""
+    names = [name.replace("T", " ").removesuffix(":00Z") for name in time_names(fit.sky)]
+    day = names[0].partition(" ")[0]
+    if len(names) == 1 or np.isnat(fit.sky.time).any() or not all(name.startswith(f"{day} ") for name in names):
+        return "", names
+    return day, [name.removeprefix(f"{day} ") for name in names]
+
+
+def _print_parameters(fit: Fit, t: int, places: list[int], title: str) -> None:
+    values = table(title)
+    for heading in ("parameter", "value", "sigma", "by model", "unit", "remarks"):
+        values.add_column(heading, justify="right" if heading in ("value", "sigma", "by model") else "left")
+    for p in places:
+        flags = ["at bound"] * bool(fit.at_bound[t, p]) + ["not determined"] * (not fit.determined[t, p])
+        values.add_row(
+            fit.free[p], f"{fit.values[t, p]:.5g}", f"{fit.sigma[t, p]:.2g}", f"{fit.model_sigma[t, p]:.2g}",
+            PARAMETERS[fit.free[p]].unit, ", ".join(flags),
+        )  # fmt: skip
+    console.print(values)
+
+
+def _print_compact(fit: Fit, places: list[int]) -> bool:
+    """One row a time; False, and nothing printed, where that is too wide."""
+    _, names = _times(fit)
+    headings = [_heading(fit.free[p]) for p in places]
+    rows = [[_cell(fit, t, p) for p in places] for t in range(len(names))]
+    widths = [max(map(len, ("time", *names)))]
+    for column, heading in enumerate(headings):
+        widths.append(max(map(len, (*heading.split(), *(row[column] for row in rows)))))
+    if sum(widths) + _GAP * len(widths) > _WIDE:
+        return False
+    values = table("each time")
+    values.add_column("time", justify="right", no_wrap=True)
+    for heading, width in zip(headings, widths[1:], strict=True):
+        values.add_column(heading, justify="right", min_width=width)
+    for name, row in zip(names, rows, strict=True):
+        values.add_row(name, *row)
+    console.print(values)
+    marks = {"!": "at its bound", "?": "not determined"}
+    used = [f"{mark} {text}" for mark, text in marks.items() if any(mark in cell for row in rows for cell in row)]
+    if used:
+        console.print(", ".join(used), highlight=False)
+    return True
+
+
+def _heading(name: str) -> str:
+    unit = PARAMETERS[name].unit
+    return name.replace("_", " ") + ("" if unit == "1" else f", {unit}")
+
+
+def _cell(fit: Fit, t: int, p: int) -> str:
+    value, sigma = fit.values[t, p], fit.sigma[t, p]
+    marks = "!" * bool(fit.at_bound[t, p]) + "?" * (not fit.determined[t, p])
+    if not np.isfinite(sigma) or not 1e-6 < sigma < 1e3:
+        return f"{value:.3g}\N{PLUS-MINUS SIGN}{sigma:.1g}{marks}"
+    decimals = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 4))
+    return f"{value:.{decimals}f}\N{PLUS-MINUS SIGN}{sigma:.{decimals}f}{marks}"
+
+
+def _open_ends(fit: Fit):
+    """What the data leave open, each sentence once with the times it holds for."""
+    (_, names), times = _times(fit), {}
+    for t, sentences in enumerate(fit.undetermined):
+        for sentence in sentences:
+            times.setdefault(sentence, []).append(t)
+    for sentence, where in times.items():
+        which = "" if len(where) == len(names) else ", ".join(names[t] for t in where) + ": "
+        yield f"  {which}{sentence}"
+    if not times:
+        yield "  all of these are determined by the data"
+
+
+def _about(fit: Fit):
+    known = "stated" if fit.measurement.stated(fit.sky) else "assumed"
+    error = 100.0 * fit.measurement.model_error
+    noise = f"noise, {_span(fit.scale, '.2g')} times the {known} one"
+    yield f"sigma: {noise}, and a model error of {error:.2g} % (by model)"
+    yield from _calibration(fit)
+    yield from _rejected(fit)
+    for name, (value, sigma) in fit.priors.items():
+        yield f"prior: {name} {value:.5g} +- {sigma:.2g} {PARAMETERS[name].unit}".removesuffix(" 1")
+    for name, sigma in fit.smooth.items():
+        logarithm = "of its logarithm " if PARAMETERS[name].log else ""
+        yield f"smooth: {name}, change {logarithm}within an hour +- {sigma:.2g}"
+    held = (f"{name} {value:.5g} {PARAMETERS[name].unit}".removesuffix(" 1") for name, value in fit.fixed.items())
+    yield f"held fixed: {', '.join(held)}"
+    for note in fit.notes:
+        yield f"note: {note}"
+    for reason, count in fit.sky.masked.items():
+        yield f"masked: {count} samples {reason}"
+
+
+def _span(values: np.ndarray, form: str) -> str:
+    low, high = f"{np.min(values):{form}}", f"{np.max(values):{form}}"
+    return low if low == high else f"{low} to {high}"
+
+
+def _calibration(fit: Fit):
+    prior = fit.measurement.calibration_prior(fit.sky)
+    if not prior > 0.0:
+        return
+    yield f"calibration: scale {_span(fit.calibration, '.3f')}, prior {prior:.2g}"
+    far = (np.abs(fit.calibration - 1.0) > _FAR * prior).any(axis=0)
+    if far.any():
+        yield (
+            f"note: the scale is beyond {_FAR:g} times its prior at {int(far.sum())} of {far.size} wavelengths: is the "
+            "prior too narrow, or the model wrong?"
+        )
+
+
+def _rejected(fit: Fit):
+    sky = fit.sky
+    for t, name in enumerate(_times(fit)[1]):
+        where = np.flatnonzero(fit.rejected[t])
+        if not where.size:
+            continue
+        zenith, azimuth = np.degrees(sky.view_zenith[where]), np.degrees(sky.view_azimuth[where])
+        shown = [f"{z:.0f} {a:.0f}" for z, a in zip(zenith[:_MOST_NAMED], azimuth[:_MOST_NAMED], strict=True)]
+        more = "" if where.size <= _MOST_NAMED else f" and {where.size - _MOST_NAMED} more"
+        count = "1 direction" if where.size == 1 else f"{where.size} directions"
+        yield f"rejected, {name}: {count}, zenith azimuth {', '.join(shown)}{more}"

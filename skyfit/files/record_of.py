@@ -1,0 +1,177 @@
+"""What a fit says, as the record that `record_form` documents."""
+
+from dataclasses import fields
+from importlib import metadata
+
+import jax
+import numpy as np
+
+from ..fit import Fit, PARAMETERS
+from ..fit.parameters import partition, values_of
+from .netcdf import degrees
+from .record_form import SCHEMA, VERSION
+from .units import RADIANCE
+
+
+def record_of(fit: Fit) -> dict:
+    """The record of a fit, in Python's and NumPy's types; what is not finite stands as it is."""
+    sky, solver, given = fit.sky, fit.solver, fit.measurement
+    try:
+        version = metadata.version("skyfit")
+    except metadata.PackageNotFoundError:
+        version = None
+    fixed = values_of(fit.start, [name for name in names_of(fit.start) if name not in fit.free])
+    if "turbidity" in fit.free:
+        fixed.pop("aerosol_optical_depth", None)
+    station = ("latitude_deg", "longitude_deg", "altitude_m", "pressure_pa")
+    common = [p for p, name in enumerate(fit.free) if name in fit.shared]
+    return {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "skyfit_version": version,
+        "source": sky.source,
+        "solver": {"name": _class_name(solver)} | {f.name: getattr(solver, f.name) for f in fields(solver)},
+        "geometry": solver.geometry,
+        "instrument": {"fwhm_nm": fit.fwhm_nm, "response": _response(fit)},
+        "station": {name: getattr(sky, name) for name in station},
+        "atmosphere": kinds_of(fit.start) | {"constants": constants_of(fit.start)},
+        "measurement": {
+            "relative": given.relative,
+            "floor": given.floor,
+            "calibration": given.calibration,
+            "calibration_prior": given.calibration_prior(sky),
+            "model_error": given.model_error,
+            "field_of_view_deg": np.round(np.degrees(given.field_of_view), 10),
+            "loss": given.loss,
+            "threshold": given.threshold,
+        },
+        "priors": {n: {"value": v, "sigma": s, "unit": PARAMETERS[n].unit} for n, (v, s) in fit.priors.items()},
+        "smooth": {n: {"sigma_per_hour": s, "unit": _scale_unit(n)} for n, s in fit.smooth.items()},
+        "free": list(fit.free),
+        "shared": {
+            "parameters": _parameters(fit, 0, common),
+            "correlation": fit.correlation[0][np.ix_(common, common)],
+        },
+        "fixed": {n: {"value": v, "unit": PARAMETERS[n].unit} for n, v in fixed.items()},
+        "calibration": {
+            "wavelength_nm": fit.fitted_nm,
+            "scale": _once(fit.calibration),
+            "sigma": _once(fit.calibration_sigma),
+        },
+        "times": [_time_record(fit, t) for t in range(len(sky.time))],
+        "total_rmse": fit.total_rmse,
+        "notes": list(fit.notes),
+    }
+
+
+def _response(fit: Fit) -> dict | None:
+    response = fit.response
+    return None if response is None else {"wavelength_nm": response.wavelength_nm, "weight": response.weight}
+
+
+def _scale_unit(name: str) -> str:
+    """The unit of a change on the parameter's scale: a logarithm has none."""
+    return "1" if PARAMETERS[name].log else PARAMETERS[name].unit
+
+
+def _once(rows: np.ndarray) -> np.ndarray:
+    """The rows of all times, or one where all are the same."""
+    return rows[:1] if np.array_equal(rows, np.broadcast_to(rows[:1], rows.shape), equal_nan=True) else rows
+
+
+def _parameters(fit: Fit, t: int, places: list[int]) -> dict:
+    return {
+        fit.free[p]: {
+            "value": fit.values[t, p],
+            "unit": PARAMETERS[fit.free[p]].unit,
+            "sigma": fit.sigma[t, p],
+            "model_sigma": fit.model_sigma[t, p],
+            "at_bound": fit.at_bound[t, p],
+            "determined": fit.determined[t, p],
+        }
+        for p in places
+    }
+
+
+def _time_record(fit: Fit, t: int) -> dict:
+    sky = fit.sky
+    masked = dict(sky.at(t).masked)
+    left_out = int(np.sum(sky.usable[t] & ~fit.used[t]))
+    if left_out:
+        masked["not modelled"] = left_out
+    return {
+        "time": _iso(sky.time[t]),
+        "sun_zenith_deg": degrees(sky.sun_zenith)[t],
+        "sun_azimuth_deg": degrees(sky.sun_azimuth)[t],
+        "parameters": _parameters(fit, t, [p for p, name in enumerate(fit.free) if name not in fit.shared]),
+        "correlation": fit.correlation[t],
+        "result": fit.result[t],
+        "steps": fit.steps[t],
+        "rmse": fit.rmse[t],
+        "rmse_unit": RADIANCE if fit.response is None else "of the channels",
+        "samples": np.sum(fit.used[t]),
+        "masked": masked,
+        "reduced_chi_square": fit.reduced_chi_square[t],
+        "scale": fit.scale[t],
+        "degrees_of_freedom": fit.degrees_of_freedom[t],
+        "rejected": _rejected(fit, t),
+        "undetermined": list(fit.undetermined[t]),
+    }
+
+
+def _rejected(fit: Fit, t: int) -> list[dict]:
+    sky, weight = fit.sky, fit.weight[t]
+    return [
+        {
+            "view_zenith_deg": degrees(sky.view_zenith)[d],
+            "view_azimuth_deg": degrees(sky.view_azimuth)[d],
+            "weight": np.nanmean(weight[d]),
+        }
+        for d in np.flatnonzero(fit.rejected[t])
+    ]
+
+
+def _iso(time: np.datetime64) -> str | None:
+    if np.isnat(time):
+        return None
+    whole = time.astype("datetime64[s]")
+    return str(whole if whole == time else time) + "Z"
+
+
+def names_of(model) -> list[str]:
+    """The parameters that a model has, each leaf once."""
+    return [name for name in values_of(model, PARAMETERS) if name != "turbidity"]
+
+
+def _class_name(thing) -> str | None:
+    """The class's name; with its module where it is not skyfit's own."""
+    kind = type(thing)
+    own = kind.__module__.startswith("skyfit.")
+    return None if thing is None else kind.__name__ if own else f"{kind.__module__}.{kind.__qualname__}"
+
+
+def kinds_of(model) -> dict[str, str | None]:
+    """What an atmosphere is made of."""
+    air, haze, ozone = model.atmosphere.rayleigh, model.atmosphere.aerosol, model.atmosphere.ozone
+    return {
+        "rayleigh": _class_name(air),
+        "aerosol": _class_name(haze),
+        "ozone": _class_name(ozone),
+        "rayleigh_formula": getattr(air, "formula", None),
+        "phase": _class_name(getattr(haze, "phase", None)),
+        "rayleigh_phase": _class_name(getattr(air, "phase", None)),
+        "aerosol_profile": _class_name(getattr(haze, "profile", None)),
+        "rayleigh_profile": _class_name(getattr(air, "profile", None)),
+        "ozone_profile": _class_name(getattr(ozone, "profile", None)),
+    }
+
+
+def constants_of(model) -> dict[str, object]:
+    """The leaves that no parameter names, by their place, such as "atmosphere.ozone.profile.height"."""
+    _, rest = partition(model, tuple(names_of(model)))
+    leaves, _ = jax.tree_util.tree_flatten_with_path(rest)
+    return {place_of(path): np.asarray(leaf).tolist() for path, leaf in leaves}
+
+
+def place_of(path) -> str:
+    return jax.tree_util.keystr(path, simple=True, separator=".")

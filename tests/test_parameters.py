@@ -1,0 +1,101 @@
+"""The parameters by name: their bounds, their leaves, and the names that cannot be fitted."""
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+from made_skies import as_sky, FREE, SOLVER
+
+import skyfit
+from skyfit.fit import PARAMETERS, start_model, values_of, with_values
+from skyfit.fit.parameters import check_free, partition
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+@given(share=st.floats(0.0, 1.0), free=st.floats(-200.0, 200.0))
+def test_bound_and_unbound_are_inverse(name, share, free):
+    parameter = PARAMETERS[name]
+    low, high = parameter.lower, parameter.upper
+    ends = (np.log(low), np.log(high)) if parameter.log else (low, high)
+    with jax.enable_x64(True):
+        nudged = ends[0] + min(max(share, 0.01), 0.99) * (ends[1] - ends[0])
+        value = ends[0] + share * (ends[1] - ends[0])
+        value, nudged = (np.exp(v) if parameter.log else v for v in (value, nudged))
+        back = float(parameter.bound(parameter.unbound(value)))
+        assert back == pytest.approx(nudged, rel=1e-9, abs=1e-9 * (high - low))
+        bounded = float(parameter.bound(free))
+        slack = 1e-12 * (high - low)
+        assert low - slack <= bounded <= high + slack
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_a_value_near_its_end_is_at_the_bound(name):
+    parameter = PARAMETERS[name]
+    # where the search ends, 3e-4 of the range from the bound, in the default float type
+    assert parameter.at_bound(float(parameter.bound(np.float32(8.0))))
+    assert parameter.at_bound(float(parameter.bound(np.float32(-8.0))))
+    assert not parameter.at_bound(float(parameter.bound(np.float32(-5.0))))
+    assert not parameter.at_bound(float(parameter.bound(np.float32(0.0))))
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+@given(share=st.floats(0.0, 1.0))
+def test_a_value_that_is_set_is_read_back_and_moves_no_other(name, share):
+    parameter = PARAMETERS[name]
+    value = parameter.lower + share * (parameter.upper - parameter.lower)
+    with jax.enable_x64(True):
+        model = start_model(("forward_fraction",), 9.0e4)
+        changed = values_of(with_values(model, (name,), [value]), PARAMETERS)
+        assert changed.pop(name) == pytest.approx(value, rel=1e-12, abs=1e-12)
+        before = values_of(model, PARAMETERS)
+    one = {"turbidity", "aerosol_optical_depth"}
+    for other in set(changed) - (one if name in one else set()):
+        assert changed[other] == before[other]
+
+
+def test_the_free_leaves_are_those_that_are_named():
+    model = start_model(FREE, 101325.0)
+    chosen, rest = partition(model, FREE)
+    assert len(jax.tree.leaves(chosen)) == 3
+    assert len(jax.tree.leaves(rest)) == len(jax.tree.leaves(model)) - 3
+    assert values_of(with_values(rest, FREE, [0.3, 1.0, 0.5]), FREE) == pytest.approx(
+        {"aerosol_optical_depth": 0.3, "angstrom_exponent": 1.0, "asymmetry": 0.5}, rel=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("free", "parts"),
+    [
+        ((), ["`free`", "at least one"]),
+        (("haze",), ["`free`", "'haze'", "turbidity, aerosol_optical_depth"]),
+        (("ozone", "asymmetry", "ozone"), ["`free`", "once", "ozone, asymmetry, ozone"]),
+        (("turbidity", "aerosol_optical_depth"), ["`free`", "both turbidity and aerosol_optical_depth"]),
+        (("asymmetry_second",), ["`free`", "'asymmetry_second'", "does not have"]),
+    ],
+)
+def test_names_that_cannot_be_free(free, parts):
+    one_lobe = start_model((), 101325.0)
+    calls = (
+        lambda: check_free(free, one_lobe),
+        lambda: skyfit.invert(as_sky(np.ones((40, 15))), free, SOLVER, one_lobe),
+    )
+    for call in calls:
+        with pytest.raises(ValueError) as caught:
+            call()
+        assert "\n" not in str(caught.value)
+        assert all(part in str(caught.value) for part in parts), caught.value
+
+
+@pytest.mark.parametrize("place", ["aerosol", "ozone", "rayleigh"])
+def test_an_atmosphere_without_a_constituent_has_none_of_its_parameters(place):
+    model = start_model((), 101325.0)
+    atmosphere = replace_leaf(model.atmosphere, place, None)
+    name = {"aerosol": "aerosol_optical_depth", "ozone": "ozone", "rayleigh": "pressure"}[place]
+    with pytest.raises(ValueError, match=f"{name}.*does not have"):
+        check_free((name,), type(model)(atmosphere))
+    assert name not in values_of(type(model)(atmosphere), PARAMETERS)
+
+
+def replace_leaf(atmosphere, name, value):
+    parts = {n: getattr(atmosphere, n) for n in ("rayleigh", "aerosol", "ozone", "ground")}
+    return skyfit.Atmosphere(**(parts | {name: value}))
