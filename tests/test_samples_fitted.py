@@ -15,7 +15,6 @@ from skyfit.fit.problem import day_of_year
 pytestmark = pytest.mark.usefixtures("haste")
 
 
-
 @pytest.mark.parametrize("with_sigma", [True, False], ids=["sigma", "no sigma"])
 def test_masked_samples_have_no_influence(with_sigma):
     clean = as_sky(by_hand(), seed=2)
