@@ -54,7 +54,7 @@ class Measurement:
                 raise ValueError(f"`{name}` must be between {low:g} and {high:g}, got {value!r}")
         if self.loss not in ("squares", "huber", "cauchy"):
             raise ValueError(f'`loss` must be "squares", "huber" or "cauchy", got {self.loss!r}')
-        if self.relative == 0.0 and not self.floor:
+        if (self.relative is not None or self.floor is not None) and not (self.relative or self.floor):
             raise ValueError("`relative` and `floor` must not both be 0: no sample is exact")
 
     def stated(self, sky: Sky) -> bool:
