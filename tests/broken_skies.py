@@ -182,7 +182,7 @@ SKIES = {
         with_fields(lambda s: {"sun_zenith": s.sun_zenith - 0.17, "sun_azimuth": s.sun_azimuth + 0.2}), "poor_fit"
     ),
     "directions reversed": flag(with_radiance(lambda light: light[:, ::-1]), "poor_fit"),
-    "wavelengths reversed": flag(with_radiance(lambda light: light[..., ::-1]), "poor_fit"),
+    "wavelengths reversed": flag(with_radiance(lambda light: light[..., ::-1]), "the residuals are"),
     "transposed": flag(with_radiance(lambda light: light.transpose(0, 2, 1)), "poor_fit"),
     "axes exchanged": error(with_radiance(lambda light: light.transpose(1, 0, 2)), "`radiance`"),
     "a direction twice": flag(
