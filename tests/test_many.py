@@ -106,6 +106,7 @@ def test_each_time_is_as_if_inverted_alone(sky, fits, t):
     assert (fits.result == "successful").all() and str(fits).endswith("10 successful")
 
 
+@pytest.mark.slow
 def test_neither_chunks_nor_lock_step_nor_threads_change_a_fit_and_float64_reaches_them(sky, fits, x64):
     done = []
     other = skyfit.fit_many(sky, FREE, solver=SOLVER, chunk=6, batch_size=2, progress=lambda *told: done.append(told))

@@ -50,14 +50,12 @@ def diffusion(
 
     above, below = jnp.concatenate([top, inner]), jnp.concatenate([inner, bottom])
     diagonal = depth * (1.0 - albedo) + above + below
-    size = depth.shape[0]
-    upper, lower = np.eye(size, k=1), np.eye(size, k=-1)
-    matrix = (
-        jnp.eye(size, dtype=depth.dtype)[None] * diagonal.T[:, None]
-        - jnp.asarray(upper, depth.dtype)[None] * below.T[:, :, None]
-        - jnp.asarray(lower, depth.dtype)[None] * above.T[:, :, None]
+    # each by itself: LAPACK's threads wait for one another, for ever where two programs run at once
+    none, unit = jnp.zeros_like(top), jnp.eye(depth.shape[0], dtype=depth.dtype)
+    diagonals = jnp.concatenate([none, -inner]).T, diagonal.T, jnp.concatenate([-inner, none]).T
+    inverse = jax.lax.map(
+        lambda three: jax.lax.linalg.tridiagonal_solve(*three, unit), jax.lax.stop_gradient(diagonals)
     )
-    inverse = jnp.linalg.inv(jax.lax.stop_gradient(matrix))
 
     def balance(even, mean, extra):
         """What a layer gains of the light that is scattered in it, less what it loses."""
