@@ -204,7 +204,7 @@ class Sampling:
     def readings(self, solver: AbstractSolver, model: SkyModel, time: int) -> np.ndarray:
         """The model in every direction, at each wavelength or channel, `[direction, wavelength]`; NaN beyond it."""
         sky = self.sky
-        nothing = np.zeros((1, len(sky.view_zenith), 1))
+        nothing = np.zeros((1, *sky.radiance.shape[1:]))
         problem = Problem(
             **self._arrays(slice(time, time + 1), self.inside),
             view_zenith=as_float(sky.view_zenith[None]),
