@@ -31,6 +31,8 @@ from .solve import covariance, LOGISTIC_LIMIT
 _GUARD = 1e-6
 # normal deviates: the median size is 1 / 1.4826 standard deviations
 _MEDIAN_SIZE = 1.4826
+# of the influence of residuals, where hardly any is small
+_LEAST_SLOPE = 0.1
 
 
 class Estimate(NamedTuple):
@@ -125,19 +127,41 @@ def _noise_scale(setup: Setup, problem: Problem, end: Point, known: Known):
     """How many times the stated sigma the residuals are, per time, 1 at least."""
     residual, weight = whitened(problem, known, _calibration(setup, problem, end), jnp.ones(end.own.shape[0]))
     if setup.loss == "squares":
-        scale = jnp.sqrt(_chi_square(setup, residual, weight, jnp.ones_like(residual)))
+        scale = jnp.sqrt(_chi_square(setup, residual, weight))
     else:
         size = jnp.where(weight > 0.0, jnp.abs(residual), jnp.nan)
         scale = _MEDIAN_SIZE * jnp.nanmedian(size, axis=1)
     return jnp.where(scale > 1.0, scale, 1.0)
 
 
-def _chi_square(setup: Setup, residual, weight, robust_weight):
+def _chi_square(setup: Setup, residual, weight):
     """Reduced, per time: the shared parameters count with their share of each."""
-    times = residual.shape[0]
-    samples = jnp.sum((weight > 0.0) * robust_weight, axis=1)
-    known = len(setup.own) + len(setup.shared) / times
-    return jnp.sum(robust_weight * residual**2, axis=1) / jnp.maximum(samples - known, 1.0)
+    samples = jnp.sum(weight > 0.0, axis=1)
+    known = len(setup.own) + len(setup.shared) / residual.shape[0]
+    return jnp.sum(jnp.where(weight > 0.0, residual**2, 0.0), axis=1) / jnp.maximum(samples - known, 1.0)
+
+
+def _widening(setup: Setup, residual, weight):
+    r"""How much wider than $(J^T W J)^{-1/2}$ the error is, per time; for squares the root of the reduced chi-square.
+
+    $[\overline{\psi^2}\, \overline{w}]^{1/2} / \overline{\psi'}$ with the influence $\psi = w z$ of a residual z: what is
+    far off counts with its bounded influence, not with its size.
+    **Source:** Huber 1981, Robust Statistics, sec. 7.6, divided by the mean weight that is in W.
+    """
+
+    def influence(residual):
+        trust = robust(residual, setup.loss, setup.threshold).weight
+        return trust * residual, trust
+
+    (psi, trust), (slope, _) = jax.jvp(influence, (residual,), (jnp.ones_like(residual),))
+    held = weight > 0.0
+    count = jnp.maximum(jnp.sum(held, axis=1), 1)
+
+    def mean(values):
+        return jnp.sum(jnp.where(held, values, 0.0), axis=1) / count
+
+    # where most are far off nothing holds, but finite it is
+    return jnp.sqrt(_chi_square(setup, psi, weight) * mean(trust)) / jnp.maximum(mean(slope), _LEAST_SLOPE)
 
 
 def _described(setup: Setup, problem: Problem, priors: Priors, end: Point, known: Known, steps, result) -> Estimate:
@@ -151,9 +175,8 @@ def _described(setup: Setup, problem: Problem, priors: Priors, end: Point, known
     raw, raw_weight = whitened(problem, known, calibration, one)
     scale = _noise_scale(setup, problem, end, known)
     trust = robust(raw / scale[:, None], setup.loss, setup.threshold).weight
-    chi = _chi_square(setup, raw, raw_weight, trust)
-    scale = jnp.sqrt(jnp.maximum(chi, 1.0))
-    plain = _chi_square(setup, raw, raw_weight, jnp.ones_like(trust))
+    plain = _chi_square(setup, raw, raw_weight)
+    scale = jnp.maximum(scale * _widening(setup, raw / scale[:, None], raw_weight), 1.0)
     weight = jnp.sqrt(trust) * raw_weight / scale[:, None]
     log = jnp.asarray([PARAMETERS[n].log for n in names])
     spread = jnp.where(log[None], values, as_float([PARAMETERS[n].spread(1.0) for n in names])[None])
