@@ -43,7 +43,7 @@ def _print_skies(fit: Fit) -> None:
         chi_square, freedom = f"{fit.reduced_chi_square[t]:.2f}", f"{fit.degrees_of_freedom[t]:.1f}"
         skies.add_row(
             name, *angles, f"{factor * fit.rmse[t]:.2f}", chi_square, freedom, f"{fit.steps[t]}",
-            fit.result[t].replace("_", " "),
+            fit.result[t],
         )  # fmt: skip
     console.print(skies)
     console.print(
@@ -52,10 +52,10 @@ def _print_skies(fit: Fit) -> None:
 
 
 def _times(fit: Fit) -> tuple[str, list[str]]:
-    """The day, if it is the same of several times, and each time as short as that allows."""
+    """The day, if all times are of one, and each time as short as that allows."""
     names = [name.replace("T", " ").removesuffix(":00Z") for name in time_names(fit.sky)]
     day = names[0].partition(" ")[0]
-    if len(names) == 1 or np.isnat(fit.sky.time).any() or not all(name.startswith(f"{day} ") for name in names):
+    if np.isnat(fit.sky.time).any() or not all(name.startswith(f"{day} ") for name in names):
         return "", names
     return day, [name.removeprefix(f"{day} ") for name in names]
 

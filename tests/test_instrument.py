@@ -1,0 +1,164 @@
+"""What the instrument adds to a sky: calibration, clouds in its way, cone of view, channels; and the sun's beam."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from made_skies import as_sky, by_hand, EXACT, FREE, HAZE, PLAIN, SOLVER
+
+import skyfit
+from skyfit.light import extraterrestrial_irradiance
+from skyfit.scene import angle_between
+from skyfit.transport.solver import optics
+
+
+pytestmark = pytest.mark.usefixtures("haste")
+TRUTH = np.array(list(HAZE.values()))
+# at the mean distance of the sun
+NO_DAY = np.array(["NaT"], "datetime64[ns]")
+
+
+def made(radiance, noise=0.01, seed=40, **about):
+    return as_sky(radiance, noise, seed, time=NO_DAY, **about)
+
+
+def fitted(sky, free=FREE, **changes):
+    return skyfit.invert(sky, free, SOLVER, measurement=replace(EXACT, **changes))
+
+
+def off(fit, truth=TRUTH):
+    """In standard deviations."""
+    return np.abs(fit.values[0] - truth) / fit.sigma[0]
+
+
+@pytest.fixture(scope="module")
+def sky():
+    with jax.enable_x64(True):
+        return made(by_hand())
+
+
+@pytest.fixture(scope="module")
+def plain(sky):
+    with jax.enable_x64(True):
+        return fitted(sky)
+
+
+def test_a_wavelength_that_is_too_bright_is_found_and_does_no_harm(x64, sky):
+    bright = sky.radiance.copy()
+    bright[:, :, 14] *= 1.03
+    wrong = replace(sky, radiance=bright)
+    kept, found = fitted(wrong, loss="squares"), fitted(wrong, calibration=0.01, loss="squares")
+    assert found.result == ("successful",)
+    assert np.all(kept.calibration == 1.0) and np.all(kept.calibration_sigma == 0.0)
+    scale, sigma = found.calibration[0], found.calibration_sigma[0]
+    # the prior is that of 3 %, in whose direction the others are not moved
+    assert scale[14] > 1.02 and abs(scale[14] - 1.03) < 2.0 * sigma[14]
+    others = np.delete(np.arange(15), 14)
+    assert np.all(np.abs(scale[others] - 1.0) < 3.0 * sigma[others])
+    assert np.all((sigma > 0.0) & (sigma < 0.01))
+    np.testing.assert_allclose(found.model[0, 3, 14] / found.model[0, 3, 13], bright[0, 3, 14] / bright[0, 3, 13], rtol=0.03)
+    # of what the calibration moves, the colour of the haze most
+    assert abs(found.values[0, 1] - HAZE["angstrom_exponent"]) < abs(kept.values[0, 1] - HAZE["angstrom_exponent"])
+    assert np.all(off(found) < 3.0) and not np.all(off(kept) < 3.0)
+    # what is not known exactly leaves the parameters less sure
+    assert np.all(found.sigma > 1.05 * kept.sigma / kept.scale)
+
+
+def test_clouds_are_rejected_by_name_and_leave_the_haze_alone(x64, sky, plain):
+    clouds = [2, 9, 17, 26, 33]
+    bright = sky.radiance.copy()
+    bright[:, clouds] *= 3.0
+    cloudy = replace(sky, radiance=bright)
+    squares, huber, cauchy = (fitted(cloudy, loss=loss) for loss in ("squares", "huber", "cauchy"))
+    assert not plain.rejected.any()
+    for fit in (huber, cauchy):
+        assert np.flatnonzero(fit.rejected[0]).tolist() == clouds
+        assert off(fit)[0] < 3.0
+        assert np.all(fit.weight[0, clouds] < 0.5)
+        others = np.delete(np.arange(40), clouds)
+        assert np.mean(fit.weight[0, others]) > 0.8
+    assert not squares.rejected.any() and np.all(squares.weight == 1.0)
+    assert np.abs(squares.values[0, 0] - 0.2) > 3.0 * max(huber.sigma[0, 0], cauchy.sigma[0, 0])
+    assert np.abs(squares.values[0, 0] - 0.2) > 5.0 * np.abs(cauchy.values[0, 0] - 0.2)
+    # what was rejected counts in chi-square, and with its bounded influence only in the error bars
+    assert huber.reduced_chi_square[0] > 100.0 and 1.2 < huber.scale[0] < 2.5 and cauchy.scale[0] < 1.2
+    np.testing.assert_allclose(cauchy.sigma, plain.sigma, rtol=0.2)
+
+
+AUREOLE = np.radians([2.2, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0])
+CONE = np.radians(3.0)
+
+
+def aureole(offset_zenith=0.0, offset_azimuth=0.0):
+    """Ten angles above and beside the sun, and 20 directions beyond; moved by an offset on the unit sphere."""
+    zenith = np.concatenate([0.9 - AUREOLE, np.full(10, 0.9), np.linspace(0.1, 1.2, 20)])
+    azimuth = np.concatenate([np.full(10, 1.0), 1.0 + AUREOLE / np.sin(0.9), np.linspace(1.8, 4.5, 20)])
+    return zenith + offset_zenith, azimuth + offset_azimuth / np.sin(zenith)
+
+
+def brightness(zenith, azimuth, asymmetry=0.85):
+    aerosol = skyfit.Aerosol(0.2, 1.1, 0.95, 0.0, skyfit.HenyeyGreenstein(asymmetry))
+    atmosphere = skyfit.Atmosphere(skyfit.Rayleigh(101325.0), aerosol, skyfit.Ozone(300.0), skyfit.Ground(0.1))
+    sun = np.asarray(extraterrestrial_irradiance(PLAIN, 6.0), float)
+    scene = skyfit.Scene(0.9, 1.0, skyfit.Directions(zenith, azimuth), PLAIN, sun)
+    return np.asarray(SOLVER.radiance(atmosphere, scene), float)
+
+
+def test_an_aureole_seen_through_a_wide_cone(x64):
+    """The mean over 60 rays that fill the cone evenly, in the plane that touches the sphere."""
+    ring = 0.5 * CONE * np.sqrt((np.arange(60) + 0.5) / 60.0)
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(60)
+    rays = [aureole(r * np.cos(a), r * np.sin(a)) for r, a in zip(ring, turn, strict=True)]
+    zenith, azimuth = (np.concatenate([ray[i] for ray in rays]) for i in range(2))
+    seen = brightness(zenith, azimuth).reshape(60, 40, -1).mean(axis=0)
+    ray = brightness(*aureole())
+    near = angle_between(aureole()[0], 0.9, aureole()[1] - 1.0) < np.radians(3.0)
+    assert np.max(np.abs(seen / ray - 1.0)[np.asarray(near)]) > 0.02
+    view_zenith, view_azimuth = aureole()
+    sky = replace(made(seen, 0.003), view_zenith=view_zenith, view_azimuth=view_azimuth)
+    wide, narrow = fitted(sky, field_of_view=float(CONE)), fitted(sky)
+    truth = np.array([0.2, 1.1, 0.85])
+    assert np.all(off(wide, truth) < 3.0)
+    assert off(narrow, truth).max() > 5.0
+    assert narrow.reduced_chi_square[0] > 1.2 * wide.reduced_chi_square[0] and wide.reduced_chi_square[0] < 1.1
+
+
+def test_the_direct_beam_narrows_the_optical_depth_and_biases_nothing(x64, sky, plain):
+    # Bouguer's law over a flat Earth, depths by the atmosphere's own constituents
+    haze = skyfit.Aerosol(0.2, 1.1, 0.95, 0.0, skyfit.HenyeyGreenstein(0.65))
+    parts = optics((skyfit.Rayleigh(101325.0), haze, skyfit.Ozone(300.0)), PLAIN)
+    sun = np.asarray(extraterrestrial_irradiance(PLAIN, 6.0), float)
+    direct = sun * np.exp(-np.asarray(parts.extinction, float).sum(axis=0) / np.cos(0.9))
+    noise = 1.0 + 0.002 * np.random.default_rng(41).standard_normal(direct.shape)
+    fit = fitted(
+        replace(sky, direct_irradiance=(direct * noise)[None], direct_sigma=(0.002 * direct)[None])
+    )  # fmt: skip
+    assert fit.result == ("successful",)
+    assert np.all(off(fit) < 3.0)
+    assert fit.sigma[0, 0] < 0.8 * plain.sigma[0, 0]
+    assert fit.gain.shape == plain.gain.shape and fit.weight.shape == plain.weight.shape
+    wrong = fitted(replace(sky, direct_irradiance=(1.1 * direct)[None], direct_sigma=(0.002 * direct)[None]))
+    assert not np.all(off(wrong) < 3.0)
+
+
+@pytest.mark.parametrize("name", ["xyz", "linear_srgb"])
+def test_the_channels_of_a_camera_tell_the_turbidity(x64, name):
+    response = getattr(skyfit.Response, name)()
+    spectrum = by_hand(wavelength_nm=response.wavelength_nm, fwhm_nm=None)
+    colours = spectrum @ response.weight.T
+    sky = made(colours, 0.01, wavelength_nm=response.centre_nm, fwhm_nm=np.nan)
+    fit = skyfit.invert(
+        sky, ("turbidity", "asymmetry"), SOLVER, exponent(), response=response, measurement=EXACT
+    )  # fmt: skip
+    truth = [float(skyfit.optical_depth_to_turbidity(0.2)), 0.65]
+    assert fit.result == ("successful",) and fit.determined.all()
+    assert np.all(off(fit, np.array(truth)) < 3.0) and fit.sigma[0, 0] < 0.05 * truth[0]
+    np.testing.assert_allclose(fit.model[0], colours, rtol=0.01)
+    assert fit.response is response and fit.reduced_chi_square[0] < 1.3
+
+
+def exponent():
+    from skyfit.fit import start_model, with_values
+
+    return with_values(start_model((), 101325.0), ("angstrom_exponent",), np.array([1.1]))
