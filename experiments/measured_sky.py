@@ -57,32 +57,6 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def asymmetry(sky: skyfit.Sky) -> float:
-    """What the data differ by from their own mirror image about the sun's azimuth, over sqrt 2: no model is better."""
-    scored = sky.select(GRID)
-    off = []
-    for t in range(len(sky.time)):
-        rings = np.unique(np.round(sky.view_zenith, 4))
-        for ring in rings:
-            here = np.flatnonzero(np.abs(sky.view_zenith - ring) < 1e-3)
-            if len(here) < 6:
-                continue
-            azimuth = sky.view_azimuth[here]
-            order = np.argsort(azimuth)
-            here, azimuth = here[order], azimuth[order]
-            mirrored = (2.0 * sky.sun_azimuth[t] - azimuth) % (2.0 * np.pi)
-            wrapped = np.concatenate([azimuth - 2.0 * np.pi, azimuth, azimuth + 2.0 * np.pi])
-            far = np.degrees(np.abs(np.angle(np.exp(1j * (azimuth - sky.sun_azimuth[t]))))) * np.sin(ring) > NEAR
-            for k in range(len(GRID)):
-                values = np.tile(scored.radiance[t, here, k], 3)
-                usable = scored.usable[t, here, k]
-                if not usable.all():
-                    continue
-                mirror = np.interp(mirrored, wrapped, values)
-                off.append(1e3 * (mirror - scored.radiance[t, here, k])[far] / np.sqrt(2.0))
-    return rms(np.concatenate(off))
-
-
 def by_angle(fit, sky: skyfit.Sky) -> dict[str, list[float]]:
     """Median of model over data minus one, per cent, by angle from the sun, settled scans."""
     angle = from_sun(sky)[:SETTLED]
@@ -109,7 +83,7 @@ def main():
     sky = skyfit.read(folder / "2013-05-27.nc")
     shared = [name for name in DEFAULT_FREE if name in SLOW]
     far = from_sun(sky) > NEAR
-    fits, record = {}, {"asymmetry": asymmetry(sky)}
+    fits, record = {}, {}
     for name, settings in (("together", {"shared": shared}), ("alone", {})):
         fit = fits[name] = skyfit.invert(sky, **settings)
         off, usable = error(fit, sky)

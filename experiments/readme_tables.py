@@ -65,7 +65,6 @@ def inverted(measured: dict, recovery: dict, speed: dict, many: dict) -> str:
         f"| {middle['held_out_beyond_20']:.2f} |",
         *(f"| {name}, not fitted | {peers[name]['all']:.1f} | {peers[name]['beyond_20']:.1f} |" for name in best),
         f"| Preetham 1999, not fitted | {peers['preetham']['all']:.1f} | {peers['preetham']['beyond_20']:.1f} |",
-        f"| the data against their own mirror image | | {measured['asymmetry']:.1f} |",
         "",
         "Held out over all is ruled by one direction 4-8° from the sun a scan, whose pointing the others do not tell "
         f"to a degree; beyond 10° it is {middle['held_out_beyond_10']:.2f}.",
@@ -87,7 +86,7 @@ def inverted(measured: dict, recovery: dict, speed: dict, many: dict) -> str:
         "`least_squares` over the same jitted residual and "
         f"{scan['scipy_over_sasktran2_over_ours']:.0f} times as fast as it would be over sasktran2. "
         f"{100 * starts['share']:.1f} % of {starts['starts']} random",
-        f"starts reach the best cost. A thousand skies by `fit_many`: {many['skies_per_second']:.0f} a second.",
+        f"starts reach the best cost. A thousand skies by `fit_many`: {many['skies per second']:.0f} a second.",
     ]
     return "\n".join(lines)
 
@@ -197,7 +196,10 @@ def updated(text: str, record: dict) -> str:
     before, rest = text.split(START)
     _, after = rest.split(END)
     refit, fits, benchmark, aerial, dome = (json.loads(p.read_text()) for p in (REFIT, FITS, BENCHMARK, AERIAL, DOME))
-    parts = "\n\n".join((tables(record), speed(benchmark), analytic(refit, fits), pictures(aerial, dome)))
+    own = (json.loads(path.read_text()) for path in (MEASURED, RECOVERY, INVERSION, MANY))
+    parts = "\n\n".join(
+        (tables(record), inverted(*own), speed(benchmark), analytic(refit, fits), pictures(aerial, dome))
+    )
     return f"{before}{START}\n{parts}\n{END}{after}"
 
 

@@ -8,8 +8,8 @@ import pytest
 from made_skies import as_sky, by_hand, EXACT, FREE, HAZE, PLAIN, SOLVER
 
 import skyfit
+from skyfit.fit import start_model, with_values
 from skyfit.light import extraterrestrial_irradiance
-from skyfit.scene import angle_between
 from skyfit.transport.solver import optics
 
 
@@ -46,18 +46,20 @@ def plain(sky):
 
 def test_a_wavelength_that_is_too_bright_is_found_and_does_no_harm(x64, sky):
     bright = sky.radiance.copy()
-    bright[:, :, 14] *= 1.03
+    bright[:, :, 0] *= 1.03
     wrong = replace(sky, radiance=bright)
     kept, found = fitted(wrong, loss="squares"), fitted(wrong, calibration=0.01, loss="squares")
     assert found.result == ("successful",)
     assert np.all(kept.calibration == 1.0) and np.all(kept.calibration_sigma == 0.0)
     scale, sigma = found.calibration[0], found.calibration_sigma[0]
-    # the prior is that of 3 %, in whose direction the others are not moved
-    assert scale[14] > 1.02 and abs(scale[14] - 1.03) < 2.0 * sigma[14]
-    others = np.delete(np.arange(15), 14)
+    # the prior of 1 % draws it back a little, and no other with it
+    assert scale[0] > 1.02 and abs(scale[0] - 1.03) < 2.0 * sigma[0]
+    others = np.arange(1, 15)
     assert np.all(np.abs(scale[others] - 1.0) < 3.0 * sigma[others])
     assert np.all((sigma > 0.0) & (sigma < 0.01))
-    np.testing.assert_allclose(found.model[0, 3, 14] / found.model[0, 3, 13], bright[0, 3, 14] / bright[0, 3, 13], rtol=0.03)
+    np.testing.assert_allclose(
+        found.model[0, :, 0] / found.model[0, :, 1], bright[0, :, 0] / bright[0, :, 1], rtol=0.05
+    )
     # of what the calibration moves, the colour of the haze most
     assert abs(found.values[0, 1] - HAZE["angstrom_exponent"]) < abs(kept.values[0, 1] - HAZE["angstrom_exponent"])
     assert np.all(off(found) < 3.0) and not np.all(off(kept) < 3.0)
@@ -90,11 +92,21 @@ AUREOLE = np.radians([2.2, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0])
 CONE = np.radians(3.0)
 
 
-def aureole(offset_zenith=0.0, offset_azimuth=0.0):
-    """Ten angles above and beside the sun, and 20 directions beyond; moved by an offset on the unit sphere."""
+def aureole():
+    """Ten angles above and beside the sun, and 20 directions beyond."""
     zenith = np.concatenate([0.9 - AUREOLE, np.full(10, 0.9), np.linspace(0.1, 1.2, 20)])
-    azimuth = np.concatenate([np.full(10, 1.0), 1.0 + AUREOLE / np.sin(0.9), np.linspace(1.8, 4.5, 20)])
-    return zenith + offset_zenith, azimuth + offset_azimuth / np.sin(zenith)
+    return zenith, np.concatenate([np.full(10, 1.0), 1.0 + AUREOLE / np.sin(0.9), np.linspace(1.8, 4.5, 20)])
+
+
+def rays_of_cones(zenith, azimuth, count=600):
+    """Rays that fill the cone about each direction evenly, `[ray, direction]`, by unit vectors."""
+    axis = np.stack([np.sin(zenith) * np.cos(azimuth), np.sin(zenith) * np.sin(azimuth), np.cos(zenith)])
+    down = np.stack([np.cos(zenith) * np.cos(azimuth), np.cos(zenith) * np.sin(azimuth), -np.sin(zenith)])
+    beside = np.cross(axis.T, down.T).T
+    tilt = np.arccos(1.0 - (1.0 - np.cos(0.5 * CONE)) * (np.arange(count) + 0.5) / count)[:, None, None]
+    turn = (np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count))[:, None, None]
+    x, y, z = np.moveaxis(np.cos(tilt) * axis + np.sin(tilt) * (np.cos(turn) * down + np.sin(turn) * beside), 1, 0)
+    return np.arccos(z), np.arctan2(y, x)
 
 
 def brightness(zenith, azimuth, asymmetry=0.85):
@@ -106,15 +118,10 @@ def brightness(zenith, azimuth, asymmetry=0.85):
 
 
 def test_an_aureole_seen_through_a_wide_cone(x64):
-    """The mean over 60 rays that fill the cone evenly, in the plane that touches the sphere."""
-    ring = 0.5 * CONE * np.sqrt((np.arange(60) + 0.5) / 60.0)
-    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(60)
-    rays = [aureole(r * np.cos(a), r * np.sin(a)) for r, a in zip(ring, turn, strict=True)]
-    zenith, azimuth = (np.concatenate([ray[i] for ray in rays]) for i in range(2))
-    seen = brightness(zenith, azimuth).reshape(60, 40, -1).mean(axis=0)
-    ray = brightness(*aureole())
-    near = angle_between(aureole()[0], 0.9, aureole()[1] - 1.0) < np.radians(3.0)
-    assert np.max(np.abs(seen / ray - 1.0)[np.asarray(near)]) > 0.02
+    rays = rays_of_cones(*aureole())
+    seen = brightness(*(np.ravel(angle) for angle in rays)).reshape(600, 40, -1).mean(axis=0)
+    # brighter or darker than its axis by several times the noise
+    assert np.max(np.abs(seen / brightness(*aureole()) - 1.0)) > 0.012
     view_zenith, view_azimuth = aureole()
     sky = replace(made(seen, 0.003), view_zenith=view_zenith, view_azimuth=view_azimuth)
     wide, narrow = fitted(sky, field_of_view=float(CONE)), fitted(sky)
@@ -127,18 +134,18 @@ def test_an_aureole_seen_through_a_wide_cone(x64):
 def test_the_direct_beam_narrows_the_optical_depth_and_biases_nothing(x64, sky, plain):
     # Bouguer's law over a flat Earth, depths by the atmosphere's own constituents
     haze = skyfit.Aerosol(0.2, 1.1, 0.95, 0.0, skyfit.HenyeyGreenstein(0.65))
-    parts = optics((skyfit.Rayleigh(101325.0), haze, skyfit.Ozone(300.0)), PLAIN)
+    parts = optics((skyfit.Rayleigh(101325.0), haze, skyfit.Ozone(300.0)), jax.numpy.asarray(PLAIN))
     sun = np.asarray(extraterrestrial_irradiance(PLAIN, 6.0), float)
     direct = sun * np.exp(-np.asarray(parts.extinction, float).sum(axis=0) / np.cos(0.9))
-    noise = 1.0 + 0.002 * np.random.default_rng(41).standard_normal(direct.shape)
+    noise = 1.0 + 0.001 * np.random.default_rng(41).standard_normal(direct.shape)
     fit = fitted(
-        replace(sky, direct_irradiance=(direct * noise)[None], direct_sigma=(0.002 * direct)[None])
+        replace(sky, direct_irradiance=(direct * noise)[None], direct_sigma=(0.001 * direct)[None])
     )  # fmt: skip
     assert fit.result == ("successful",)
     assert np.all(off(fit) < 3.0)
     assert fit.sigma[0, 0] < 0.8 * plain.sigma[0, 0]
     assert fit.gain.shape == plain.gain.shape and fit.weight.shape == plain.weight.shape
-    wrong = fitted(replace(sky, direct_irradiance=(1.1 * direct)[None], direct_sigma=(0.002 * direct)[None]))
+    wrong = fitted(replace(sky, direct_irradiance=(1.1 * direct)[None], direct_sigma=(0.001 * direct)[None]))
     assert not np.all(off(wrong) < 3.0)
 
 
@@ -159,6 +166,4 @@ def test_the_channels_of_a_camera_tell_the_turbidity(x64, name):
 
 
 def exponent():
-    from skyfit.fit import start_model, with_values
-
     return with_values(start_model((), 101325.0), ("angstrom_exponent",), np.array([1.1]))

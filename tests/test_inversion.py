@@ -93,9 +93,9 @@ def test_sigma_is_that_of_a_jacobian_by_differences(sample_fit):
     jacobian = np.stack(columns, axis=1)
     expected = np.linalg.inv(jacobian.T @ jacobian) * max(fit.reduced_chi_square[0], 1.0)
     # the slopes are those of a solver with fewer streams
-    np.testing.assert_allclose(fit.sigma[0], np.sqrt(np.diag(expected)), rtol=0.07)
+    np.testing.assert_allclose(fit.sigma[0], np.sqrt(np.diag(expected)), rtol=0.03)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    np.testing.assert_allclose(fit.covariance[0] / scale, expected / scale, atol=0.12)
+    np.testing.assert_allclose(fit.covariance[0] / scale, expected / scale, atol=0.05)
 
 
 # small skies, made and fitted by single scattering

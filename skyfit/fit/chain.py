@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 # of a column's length: no damping to speak of, but every unknown has a row
 _SLIGHT = 1e-5
-_MOST_REJECTED = 15
+_MOST_REJECTED = 8
 
 
 class Point(NamedTuple):

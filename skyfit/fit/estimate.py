@@ -65,7 +65,7 @@ class Estimate(NamedTuple):
 
 def estimate(
     setup: Setup,
-    solvers: tuple[AbstractSolver, AbstractSolver],
+    solvers: tuple[AbstractSolver, AbstractSolver, AbstractSolver],
     fixed: SkyModel,
     problem: Problem,
     priors: Priors,
@@ -73,8 +73,8 @@ def estimate(
 ) -> Estimate:
     """The parameters of some times and what is known of their errors.
 
-    **Arguments:** `solvers` of the first and of the last steps; the slopes are always the first one's: where the search
-    ends and what a sigma is need them no better than the per cent that the two differ by. `fixed`, a model with the
+    **Arguments:** `solvers` of the first steps, of the slopes of the last ones, and of their radiance: where the search
+    ends and what a sigma is need slopes no better than the per cent that the two differ by. `fixed`, a model with the
     values that are not fitted; `starts`, unconstrained numbers, `own` `[start, time, parameter]` and `shared`
     `[start, shared]`: the first solver goes from each of them, the last one from the best end. The time axis of all is
     any length; its cost is linear.
@@ -86,14 +86,14 @@ def estimate(
     limit = Point(jnp.full(starts.own.shape[1:], LOGISTIC_LIMIT, dtype), box.astype(dtype))
     ones = jnp.ones(problem.measured.shape[0], dtype)
 
-    def run(solver, point, scale):
-        rows = objective(setup, solver, solvers[0])
+    def run(solver, slopes, point, scale):
+        rows = objective(setup, solver, slopes)
         end, known, steps, result = minimise(rows, point, (fixed, problem, priors, scale), limit, none, setup.max_steps)
         return end, known, steps, result
 
     def first(start):
         start = Point(start.own, jnp.concatenate([start.shared, jnp.zeros(none, dtype)]))
-        end, known, steps, result = run(solvers[0], start, ones)
+        end, known, steps, result = run(solvers[0], solvers[0], start, ones)
         cost = _cost(setup, problem, priors, end, known, ones)
         return end, known, steps, jnp.where(jnp.isfinite(cost), cost, jnp.inf)
 
@@ -101,7 +101,7 @@ def estimate(
     best = jnp.argmin(costs)
     end, known, used = jax.tree.map(lambda v: v[best], (ends, known, steps))
     scale = _noise_scale(setup, problem, end, known)
-    end, known, more, result = run(solvers[1], end, scale)
+    end, known, more, result = run(solvers[2], solvers[1], end, scale)
     return _described(setup, problem, priors, end, known, used + more, result)
 
 
@@ -144,7 +144,7 @@ def _chi_square(setup: Setup, residual, weight):
 def _widening(setup: Setup, residual, weight):
     r"""How much wider than $(J^T W J)^{-1/2}$ the error is, per time; for squares the root of the reduced chi-square.
 
-    $[\overline{\psi^2}\, \overline{w}]^{1/2} / \overline{\psi'}$ with the influence $\psi = w z$ of a residual z: what is
+    $[\overline{\psi^2}\, \overline{w}]^{1/2} / \overline{\psi'}$ with the influence $\psi = w z$ of a residual: what is
     far off counts with its bounded influence, not with its size.
     **Source:** Huber 1981, Robust Statistics, sec. 7.6, divided by the mean weight that is in W.
     """

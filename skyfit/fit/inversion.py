@@ -68,8 +68,8 @@ def invert(
     - `measurement`: noise, calibration, field of view, outliers (`Measurement`)
     - `priors`: name -> (value, sigma) in the parameter's unit; of a positive parameter sigma / value is that of its
       logarithm. `smooth`: name -> sigma of its change within an hour, on the same scale, for names that are not shared
-    - `draft`: solver of the first steps and of the slopes throughout (default: `OrdersOfScattering.scout` for
-      `OrdersOfScattering`; else `solver` itself)
+    - `draft`: solver of the first steps and of the slopes of the last ones (default: for `OrdersOfScattering` its scout
+      and its draft; else `solver` itself)
     - `max_steps` of Levenberg-Marquardt each; `progress(done, of)` is called after each time that is fitted by itself
 
     **Returns:** a `Fit`. Sigma is that of noise (widened where the residuals exceed it), priors included, and of the
@@ -101,8 +101,12 @@ class Plan:
         self.solver = OrdersOfScattering.normal() if solver is None else solver
         if draft is None:
             whole = isinstance(self.solver, OrdersOfScattering)
-            draft = OrdersOfScattering.scout(self.solver.geometry) if whole else self.solver
-        self.draft = draft
+            first = OrdersOfScattering.scout(self.solver.geometry) if whole else self.solver
+            draft = OrdersOfScattering.draft(self.solver.geometry) if whole else self.solver
+        else:
+            first = draft
+        # of the first steps, of the last ones' slopes and of their radiance
+        self.solvers = first, draft, self.solver
         pressure, assumed = station_pressure(sky)
         self.start = start_model(self.free, pressure) if start is None else start
         check_free(self.free, self.start)
@@ -198,8 +202,7 @@ class Plan:
         priors = self.prior_rows
         if len(times) < len(self.sky.time):
             priors = priors._replace(step=priors.step[:0])
-        solvers = self.draft, self.solver
-        return _estimate(self.setup, solvers, self.fixed, self.problem.at(times), priors, points)
+        return _estimate(self.setup, self.solvers, self.fixed, self.problem.at(times), priors, points)
 
     def fit(self, groups: Sequence[np.ndarray], parts: Sequence[Estimate]) -> Fit:
         """The estimates of all groups of times as one `Fit`."""

@@ -127,7 +127,7 @@ def fit_chunks(
                     (jnp.asarray(active), plan.problem.at(every), jnp.moveaxis(points.own, 1, 0)),
                     NamedSharding(mesh, PartitionSpec("time")),
                 )
-                asked = plan.setup, (plan.draft, plan.solver), mesh, batch_size, plan.fixed, priors, *split
+                asked = plan.setup, plan.solvers, mesh, batch_size, plan.fixed, priors, *split
                 # compiled here: a thread of its own would not see this one's settings of JAX
                 running[pool.submit(_fetch, _outcomes.lower(*asked).compile(), asked)] = index, ends, notes
             if not running:

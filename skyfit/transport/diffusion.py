@@ -54,7 +54,7 @@ def diffusion(
     none, unit = jnp.zeros_like(top), jnp.eye(depth.shape[0], dtype=depth.dtype)
     diagonals = jnp.concatenate([none, -inner]).T, diagonal.T, jnp.concatenate([-inner, none]).T
     inverse = jax.lax.map(
-        lambda three: jax.lax.linalg.tridiagonal_solve(*three, unit), jax.lax.stop_gradient(diagonals)
+        lambda d: jax.lax.linalg.tridiagonal_solve(d[0], d[1], d[2], unit), jax.lax.stop_gradient(diagonals)
     )
 
     def balance(even, mean, extra):
