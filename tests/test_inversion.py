@@ -277,14 +277,3 @@ def test_error_bars_grow_with_noise_that_the_file_understates(x64):
         off.append((fit.values[0] - truth) / fit.sigma[0])
     inside = np.mean(np.abs(off) < 1.0, axis=0)
     assert np.all((inside >= 0.55) & (inside <= 0.80)), inside
-
-
-@pytest.mark.slow
-def test_the_measured_scans_of_a_morning_are_fitted(shared, x64):
-    sky = skyfit.read(shared / "measured" / "kider2014" / "2013-05-27.nc")
-    fit = skyfit.invert(sky)
-    assert len(fit.result) == 8 and set(fit.result) == {"successful"}
-    # W m-2 sr-1 nm-1; the peers have 11e-3 to 89e-3
-    assert fit.total_rmse < 8e-3 and fit.rmse.max() < 8e-3
-    depth = fit.values[:, fit.free.index("aerosol_optical_depth")]
-    assert np.all((depth > 0.05) & (depth < 0.3))

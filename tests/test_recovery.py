@@ -82,3 +82,14 @@ def test_haze_of_two_lobes_is_recovered_with_the_default_parameters(x64, sasktra
 def test_sasktran2_has_enough_streams_and_layers(sasktran2, truth):
     fine = sasktran2_radiance(truth, streams=32, layers=240)
     np.testing.assert_allclose(sasktran2_radiance(truth), fine, rtol=4e-4)
+
+
+@pytest.mark.slow
+def test_the_measured_scans_of_a_morning_are_fitted(shared, x64):
+    sky = skyfit.read(shared / "measured" / "kider2014" / "2013-05-27.nc")
+    fit = skyfit.invert(sky)
+    assert len(fit.result) == 8 and set(fit.result) == {"successful"}
+    # W m-2 sr-1 nm-1; the peers have 11e-3 to 89e-3
+    assert fit.total_rmse < 8e-3 and fit.rmse.max() < 8e-3
+    depth = fit.values[:, fit.free.index("aerosol_optical_depth")]
+    assert np.all((depth > 0.05) & (depth < 0.3))
