@@ -1,5 +1,6 @@
 """Settings and fixtures of all tests; skyfit itself is imported only after pytest has hooked jaxtyping in."""
 
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -40,6 +41,14 @@ def x64() -> Iterator[None]:
     """float64 for one test."""
     with jax.enable_x64(True):
         yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_programs() -> Iterator[None]:
+    """Programs of a file are dropped after it: each holds some fifty memory maps, of which a process has 65530."""
+    yield
+    jax.clear_caches()
+    gc.collect()
 
 
 @pytest.fixture(scope="module")
