@@ -21,6 +21,7 @@ from skyfit.fit.many import ended, RESULTS
 from skyfit.light import extraterrestrial_irradiance
 
 
+pytestmark = pytest.mark.usefixtures("haste")
 SOLVER = skyfit.SingleScattering(8, "flat")
 FREE = ("aerosol_optical_depth", "angstrom_exponent", "asymmetry")
 WAVELENGTH = np.arange(400.0, 681.0, 40.0)
@@ -62,14 +63,6 @@ def made() -> skyfit.Sky:
         view_azimuth=np.asarray(view.azimuth, float), wavelength_nm=WAVELENGTH, sun_zenith=sun,
         sun_azimuth=np.ones(TIMES), time=np.full(TIMES, "NaT", "datetime64[ns]"), pressure_pa=101325.0, fwhm_nm=6.0,
     )  # fmt: skip
-
-
-@pytest.fixture(scope="module", autouse=True)
-def haste():
-    """Compilation is most of the time of these tests: their programs are not worth optimising."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from ..fit import DEFAULT_FREE, Fits, Measurement, PARAMETERS, Response, SkyModel, values_of
+from ..fit import DEFAULT_FREE, Fits, Measurement, PARAMETERS, Response, SkyModel
 from ..fit.inversion import Plan
 from ..fit.many import assemble, fit_chunks, RESULTS
 from ..scene import as_float, Sky
@@ -104,10 +104,7 @@ def fit_many(
         chunks.append(part)
         if progress is not None:
             progress(sum(len(part["index"]) for part in chunks), times)
-    held = values_of(plan.start, PARAMETERS)
-    hidden = "aerosol_optical_depth" if "turbidity" in plan.free else "turbidity"
-    fixed = {name: value for name, value in held.items() if name not in plan.free and name != hidden}
-    fits = assemble(sky, plan.free, sky.wavelength_nm[plan.chosen], chunks, fixed, settings)
+    fits = assemble(sky, plan.free, sky.wavelength_nm[plan.chosen], chunks, plan.kept, settings)
     if target is not None and parts is not None:
         with atomic(target) as file:
             _write(fits, file)

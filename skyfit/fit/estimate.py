@@ -14,12 +14,13 @@ from .parameters import PARAMETERS, SkyModel
 from .problem import Problem
 from .residuals import (
     bound,
+    calibration_of,
     instrument_gain,
     Known,
     objective,
     on_scale,
     Priors,
-    reduced_time,
+    rows_of_times,
     Setup,
     shared_priors,
     whitened,
@@ -88,32 +89,24 @@ def estimate(
 
     def run(solver, slopes, point, scale):
         rows = objective(setup, solver, slopes)
-        end, known, steps, result = minimise(rows, point, (fixed, problem, priors, scale), limit, none, setup.max_steps)
-        return end, known, steps, result
+        return minimise(rows, point, (fixed, problem, priors, scale), limit, none, setup.max_steps)
 
     def first(start):
         start = Point(start.own, jnp.concatenate([start.shared, jnp.zeros(none, dtype)]))
-        end, known, steps, result = run(solvers[0], solvers[0], start, ones)
-        cost = _cost(setup, problem, priors, end, known, ones)
+        end, known, steps, _ = run(solvers[0], solvers[0], start, ones)
+        cost = _cost(setup, priors, end, whitened(problem, known, calibration_of(setup, end, channels), ones)[0])
         return end, known, steps, jnp.where(jnp.isfinite(cost), cost, jnp.inf)
 
     ends, known, steps, costs = jax.lax.map(first, starts)
     best = jnp.argmin(costs)
     end, known, used = jax.tree.map(lambda v: v[best], (ends, known, steps))
-    scale = _noise_scale(setup, problem, end, known)
+    scale = _noise_scale(setup, *whitened(problem, known, calibration_of(setup, end, channels), ones))
     end, known, more, result = run(solvers[2], solvers[1], end, scale)
     return _described(setup, problem, priors, end, known, used + more, result)
 
 
-def _calibration(setup: Setup, problem: Problem, end: Point):
-    if setup.calibrated:
-        return 1.0 + end.shared[len(setup.shared) :]
-    return jnp.ones(problem.measured.shape[2], end.own.dtype)
-
-
-def _cost(setup: Setup, problem: Problem, priors: Priors, end: Point, known: Known, scale):
+def _cost(setup: Setup, priors: Priors, end: Point, residual):
     """Half the sum of squares after the loss, priors included."""
-    residual, _ = whitened(problem, known, _calibration(setup, problem, end), scale)
     total = jnp.sum(robust(residual, setup.loss, setup.threshold).value ** 2)
     count = len(setup.own)
     if count:
@@ -123,9 +116,8 @@ def _cost(setup: Setup, problem: Problem, priors: Priors, end: Point, known: Kno
     return 0.5 * (total + jnp.sum(shared_priors(setup, end.shared, priors)[0] ** 2))
 
 
-def _noise_scale(setup: Setup, problem: Problem, end: Point, known: Known):
+def _noise_scale(setup: Setup, residual, weight):
     """How many times the stated sigma the residuals are, per time, 1 at least."""
-    residual, weight = whitened(problem, known, _calibration(setup, problem, end), jnp.ones(end.own.shape[0]))
     if setup.loss == "squares":
         scale = jnp.sqrt(_chi_square(setup, residual, weight))
     else:
@@ -170,10 +162,9 @@ def _described(setup: Setup, problem: Problem, priors: Priors, end: Point, known
     times, directions, channels = problem.measured.shape
     shared = jnp.broadcast_to(end.shared[None, : len(setup.shared)], (times, len(setup.shared)))
     values = jax.vmap(lambda free: bound(names, free))(jnp.concatenate([end.own, shared], axis=1))
-    calibration = _calibration(setup, problem, end)
-    one = jnp.ones(times, values.dtype)
-    raw, raw_weight = whitened(problem, known, calibration, one)
-    scale = _noise_scale(setup, problem, end, known)
+    calibration = calibration_of(setup, end, channels)
+    raw, raw_weight = whitened(problem, known, calibration, jnp.ones(times, values.dtype))
+    scale = _noise_scale(setup, raw, raw_weight)
     trust = robust(raw / scale[:, None], setup.loss, setup.threshold).weight
     plain = _chi_square(setup, raw, raw_weight)
     scale = jnp.maximum(scale * _widening(setup, raw / scale[:, None], raw_weight), 1.0)
@@ -186,20 +177,14 @@ def _described(setup: Setup, problem: Problem, priors: Priors, end: Point, known
     if setup.calibrated:
         by_channel = known.radiance * weight[:, : directions * channels].reshape(problem.measured.shape)
     errors = setup.model_error * _model_errors(problem, known) * (weight * instrument)[..., None]
-
-    def reduced_at(item):
-        columns, right, by_channel = item
-        return reduced_time(columns[:, :own_count], columns[:, own_count:], by_channel, right, channels)
-
-    own, common, right = jax.vmap(reduced_at)((columns, errors, by_channel))
     # a prior or a step on the parameter's scale: a unit there is one e-fold, or the range
     unit = jnp.where(log, 1.0, as_float([PARAMETERS[n].spread(1.0) for n in names]))
     tight = unit * priors.weight
-    side = right.shape[2]
-    prior_rows = jnp.broadcast_to(jnp.diag(tight[:own_count])[None], (times, own_count, own_count))
-    own = jnp.concatenate([own, prior_rows], axis=1)
-    common = jnp.concatenate([common, jnp.zeros((times, own_count, common.shape[2]), own.dtype)], axis=1)
-    right = jnp.concatenate([right, jnp.zeros((times, own_count, side), own.dtype)], axis=1)
+    side = errors.shape[2]
+    own, common, right = rows_of_times(
+        columns, errors, by_channel, jnp.broadcast_to(tight[None, :own_count], (times, own_count)),
+        jnp.zeros((times, own_count, side), errors.dtype),
+    )  # fmt: skip
     scales = common.shape[2] - len(setup.shared)
     prior = jnp.diag(jnp.concatenate([tight[own_count:], jnp.broadcast_to(priors.calibration, (scales,))]))
     link = unit[None, :own_count] * priors.step
@@ -235,7 +220,7 @@ def _described(setup: Setup, problem: Problem, priors: Priors, end: Point, known
     deviations = jnp.diagonal(spreads, axis1=1, axis2=2)
     freedom = jnp.clip(1.0 - tight[None] ** 2 * deviations[:, :count], 0.0, 1.0)
     freedom = jnp.sum(jnp.where(jnp.isfinite(deviations[:, :count]), freedom, 0.0), axis=1)
-    cost = _cost(setup, problem, priors, end, known, one)
+    cost = _cost(setup, priors, end, raw)
     scales_sigma = jnp.sqrt(deviations[0, count:]) if setup.calibrated else jnp.zeros(channels, own.dtype)
     return Estimate(
         values,

@@ -10,7 +10,7 @@ import numpy as np
 from ..scene import as_float
 from ..transport import SingleScattering
 from ..transport.solver import Geometry
-from .parameters import PARAMETERS, SkyModel, with_values
+from .parameters import PARAMETERS, SkyModel, values_of, with_values
 from .problem import observe, Problem
 
 
@@ -30,20 +30,15 @@ def first_guess(geometry: Geometry, model: SkyModel, free: tuple[str, ...], prob
     The level of each wavelength may be brighter than single scattering by what higher orders add; the aureole and the
     gradient toward the horizon tell the haze.
     """
-    first = [float(PARAMETERS[n].from_leaf(PARAMETERS[n].leaf(model))) for n in free]
-    values = np.tile(first, (problem.sun_zenith.shape[0], 1))
+    first = values_of(model, free)
+    values = np.tile(list(first.values()), (problem.sun_zenith.shape[0], 1))
     depth = next((n for n in ("aerosol_optical_depth", "turbidity") if n in free), None)
-    if depth is None or not hasattr(model.atmosphere.aerosol, "optical_depth"):
+    if depth is None:
         return values
     exponents = [{"angstrom_exponent": v} for v in _EXPONENTS] if "angstrom_exponent" in free else [{}]
     lobes = _LOBES if set(_LOBES[-1]) <= set(free) else ({},)
     depths = [{depth: float(PARAMETERS[depth].from_leaf(v))} for v in _DEPTHS]
-    rows = np.array(
-        [
-            list((dict(zip(free, first, strict=True)) | a | b | c).values())
-            for a, b, c in itertools.product(depths, exponents, lobes)
-        ]
-    )
+    rows = np.array([list((first | a | b | c).values()) for a, b, c in itertools.product(depths, exponents, lobes)])
     costs = np.asarray(_costs(SingleScattering.draft(geometry), model, free, as_float(rows), problem), float)
     best = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
     some = np.asarray(np.any(np.isfinite(costs), axis=0))

@@ -99,14 +99,13 @@ class Plan:
         self.sky, self.free, shared = sky, tuple(free), tuple(shared)
         self.measurement = Measurement() if measurement is None else measurement
         self.solver = OrdersOfScattering.normal() if solver is None else solver
-        if draft is None:
-            whole = isinstance(self.solver, OrdersOfScattering)
-            first = OrdersOfScattering.scout(self.solver.geometry) if whole else self.solver
-            draft = OrdersOfScattering.draft(self.solver.geometry) if whole else self.solver
-        else:
-            first = draft
         # of the first steps, of the last ones' slopes and of their radiance
-        self.solvers = first, draft, self.solver
+        if draft is None and isinstance(self.solver, OrdersOfScattering):
+            geometry = self.solver.geometry
+            self.solvers = OrdersOfScattering.scout(geometry), OrdersOfScattering.draft(geometry), self.solver
+        else:
+            first = self.solver if draft is None else draft
+            self.solvers = first, first, self.solver
         pressure, assumed = station_pressure(sky)
         self.start = start_model(self.free, pressure) if start is None else start
         check_free(self.free, self.start)
@@ -135,6 +134,12 @@ class Plan:
         self.problem, self.places = self.sampling.problem(self.chosen, self.measurement)
         _, self.fixed = partition(self.start, self.free)
         self.prior_rows = self._prior_rows(calibration)
+
+    @property
+    def kept(self) -> dict[str, float]:
+        """The values that are not fitted, by name; turbidity and optical depth, one quantity, once."""
+        hidden = "aerosol_optical_depth" if "turbidity" in self.free else "turbidity"
+        return {n: v for n, v in values_of(self.start, PARAMETERS).items() if n not in self.free and n != hidden}
 
     def flaws(self) -> list[str]:
         """Why each time cannot be fitted: "no_samples", "too_few_samples", "sun_below_horizon", or "" if it can."""
@@ -189,8 +194,7 @@ class Plan:
         if guess:
             values = first_guess(self.solver.geometry, self.start, names, problem)
         else:
-            first = [float(PARAMETERS[n].from_leaf(PARAMETERS[n].leaf(self.start))) for n in names]
-            values = np.tile(first, (len(times), 1))
+            values = np.tile(list(values_of(self.start, names).values()), (len(times), 1))
         free = np.array([[PARAMETERS[n].unbound(v) for n, v in zip(names, row, strict=True)] for row in values])
         random = np.random.default_rng(seed)
         points = np.stack([free, *(_START_SPREAD * random.standard_normal(free.shape) for _ in range(starts - 1))])
@@ -219,14 +223,11 @@ class Plan:
         notes = (*self.sampling.notes, *doubts(*judged, stack["reduced_chi_square"]))
         pairs = zip(words["result"], poor_fit(*judged), strict=True)
         words["result"] = tuple("poor_fit" if poor and name == "successful" else name for name, poor in pairs)
-        hidden = "aerosol_optical_depth" if "turbidity" in self.free else "turbidity"
-        everything = values_of(self.start, PARAMETERS)
-        kept = {n: v for n, v in everything.items() if n not in self.free and n != hidden}
         return Fit(
             sky=sky, solver=self.solver, free=self.free, shared=self.setup.shared, used=self.sampling.used,
             start=self.start, fwhm_nm=self.sampling.fwhm_nm, measurement=self.measurement, priors=self.priors,
             smooth=self.smooth, response=self.sampling.response, fitted_nm=sky.wavelength_nm[self.chosen],
-            notes=notes, fixed=kept, **stack, **words,
+            notes=notes, fixed=self.kept, **stack, **words,
         )  # fmt: skip
 
     def _row(self, t: int, index: int, part: Estimate, order: np.ndarray) -> dict:

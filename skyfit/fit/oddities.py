@@ -10,6 +10,7 @@ from ..light import extraterrestrial_irradiance
 from ..scene import Sky
 from .placed_sun import cosine_from_sun, misplaced_sun
 from .plausible import at_time
+from .problem import SPECTRUM_NM
 
 
 # of the sun's irradiance per steradian. A white ground under the sky returns E/pi at most, 0.32, and air and cloud
@@ -27,7 +28,6 @@ _HIGHEST_KM = 9.0
 # pressure against altitude: weather moves it by 5 % at most
 _WEATHER = 0.08
 _PLATEAU, _PLATEAU_SHARE = 5, 0.01
-_SPECTRUM_NM = (300.0, 1100.0)
 
 
 def examine(sky: Sky, used: Bool[np.ndarray, "time direction wavelength"]) -> tuple[str, ...]:
@@ -40,7 +40,7 @@ def examine(sky: Sky, used: Bool[np.ndarray, "time direction wavelength"]) -> tu
     **Errors:** `ValueError` where sunlight makes no sky of any time: all beyond any sky, or below a hundredth of what
     air scatters. Where it is so at some of the times, a sentence says at which.
     """
-    inside = (sky.wavelength_nm >= _SPECTRUM_NM[0]) & (sky.wavelength_nm <= _SPECTRUM_NM[1])
+    inside = (sky.wavelength_nm >= SPECTRUM_NM[0]) & (sky.wavelength_nm <= SPECTRUM_NM[1])
     used = used & inside
     found, impossible = [*_station(sky), *_repeated(sky, used)], []
     # a sun below the horizon, or no samples, is for the fit to refuse

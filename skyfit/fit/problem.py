@@ -156,7 +156,7 @@ class Sampling:
         quarter = -(-held.shape[1] // _SIZES)
         most = min(held.shape[1], quarter * max(1, -(-int(held.sum(axis=1).max()) // quarter)))
         places = np.stack([np.resize(np.flatnonzero(h) if h.any() else [0], most) for h in held])
-        first = np.arange(most)[None] < np.maximum(held.sum(axis=1), 0)[:, None]
+        first = np.arange(most)[None] < held.sum(axis=1)[:, None]
         rows = np.arange(len(sky.time))[:, None]
         mask = used[rows, places][..., chosen] & first[..., None]
         measured = np.where(mask, sky.radiance[rows, places][..., chosen], 0.0)

@@ -85,7 +85,37 @@ def whitened(problem: Problem, known: Known, calibration, scale):
     return jnp.concatenate([residual * weight, direct], axis=1), weights
 
 
-def reduced_time(own, common, by_channel, right, channels: int):
+def calibration_of(setup: Setup, point: Point, channels: int) -> Float[Array, " channel"]:
+    """The instrument's scale of each channel at a point, 1 where it is not fitted."""
+    if setup.calibrated:
+        return 1.0 + point.shared[len(setup.shared) :]
+    return jnp.ones(channels, point.own.dtype)
+
+
+def rows_of_times(columns, right, by_channel, prior_slope, prior_right):
+    """The rows of all times as few, with a row for the prior of each of a time's own parameters.
+
+    **Arguments:** `columns` `[time, sample, parameter]`, own ones first; `right` `[time, sample, side]`; `by_channel`
+    as in `_reduced_time`, of each time; slopes and right-hand sides of the own parameters' priors.
+    **Returns:** own, common (the channels' scales last), right.
+    """
+    times, count = prior_slope.shape
+
+    def reduced_at(item):
+        columns, right, by_channel = item
+        return _reduced_time(columns[:, :count], columns[:, count:], by_channel, right)
+
+    own, common, reduced_right = jax.vmap(reduced_at)((columns, right, by_channel))
+    diagonal = prior_slope[:, :, None] * jnp.eye(count, dtype=own.dtype)[None]
+    nothing = jnp.zeros((times, count, common.shape[2]), common.dtype)
+    return (
+        jnp.concatenate([own, diagonal], axis=1),
+        jnp.concatenate([common, nothing], axis=1),
+        jnp.concatenate([reduced_right, prior_right], axis=1),
+    )
+
+
+def _reduced_time(own, common, by_channel, right):
     """One time's rows as few: each channel's scale touches its own samples only, and goes first.
 
     `by_channel`: derivative of each sky sample by its channel's scale, `[direction, channel]`, or None. Returns own,
@@ -95,7 +125,7 @@ def reduced_time(own, common, by_channel, right, channels: int):
     count = sum(width) + 1
     if by_channel is None:
         return reduced(own, common, right, count)
-    sky = by_channel.size
+    sky, channels = by_channel.size, by_channel.shape[1]
     everything = jnp.concatenate([own, common, right], axis=1)
     columns = everything[:sky].reshape(-1, channels, everything.shape[1])
     length = jnp.sqrt(jnp.sum(by_channel**2, axis=0))
@@ -153,10 +183,8 @@ def objective(setup: Setup, solver: AbstractSolver, slopes_by: AbstractSolver):
     def rows(point: Point, arguments):
         fixed, problem, priors, scale = arguments
         here = jax.lax.stop_gradient(point)
-        times, channels = problem.measured.shape[0], problem.measured.shape[2]
-        shared, calibration = here.shared[: len(setup.shared)], 1.0 + here.shared[len(setup.shared) :]
-        if not setup.calibrated:
-            calibration = jnp.ones(channels, here.own.dtype)
+        channels = problem.measured.shape[2]
+        shared, calibration = here.shared[: len(setup.shared)], calibration_of(setup, here, channels)
 
         def known_at(item):
             own, one = item
@@ -168,30 +196,23 @@ def objective(setup: Setup, solver: AbstractSolver, slopes_by: AbstractSolver):
         residual, weight = whitened(problem, known, calibration, scale)
         after = robust(residual, setup.loss, setup.threshold)
         by_value = known.jacobian * (after.slope * weight * instrument_gain(calibration, problem))[..., None]
-        columns = by_value * slopes[:, None]
-
-        def reduced_at(item):
-            columns, value, by_channel = item
-            return reduced_time(columns[:, :count], columns[:, count:], by_channel, value[:, None], channels)
-
         by_channel = None
         if setup.calibrated:
             by_channel = known.radiance * (after.slope * weight)[:, : known.radiance[0].size].reshape(
                 known.radiance.shape
             )
-        own, common, right = jax.vmap(reduced_at)((columns, after.value, by_channel))
         scaled, steep = (
             jax.vmap(lambda own: _with_slope(on_scale, setup.own, own))(here.own) if count else (here.own, here.own)
         )
         prior = (scaled - priors.centre[None, :count]) * priors.weight[None, :count]
-        prior_slope = (steep * priors.weight[None, :count])[:, :, None] * jnp.eye(count, dtype=steep.dtype)[None]
-        own = jnp.concatenate([own, prior_slope], axis=1)
-        common = jnp.concatenate([common, jnp.zeros((times, count, common.shape[2]), common.dtype)], axis=1)
-        right = jnp.concatenate([right[..., 0], prior], axis=1)
+        own, common, right = rows_of_times(
+            by_value * slopes[:, None], after.value[..., None], by_channel, steep * priors.weight[None, :count],
+            prior[..., None],
+        )  # fmt: skip
         step = (scaled[1:] - scaled[:-1]) * priors.step
         shared_value, shared_slope = shared_priors(setup, here.shared, priors)
         move = jax.tree.map(jnp.subtract, point, here)
-        data = right + jnp.einsum("trp,tp->tr", own, move.own) + jnp.einsum("trs,s->tr", common, move.shared)
+        data = right[..., 0] + jnp.einsum("trp,tp->tr", own, move.own) + jnp.einsum("trs,s->tr", common, move.shared)
         stepped = step + priors.step * (steep[1:] * move.own[1:] - steep[:-1] * move.own[:-1])
         return Rows(data, shared_value + shared_slope * move.shared, stepped), known
 
