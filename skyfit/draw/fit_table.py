@@ -14,7 +14,6 @@ LINE, _ENTRY = 0.152, 4.6
 # letters of a sentence's line beside the domes
 _NARROW = 58
 _SURE, _OPEN = "#1b1b1b", "#a0522d"
-_UNITS = {"1": "", "degree": "\N{DEGREE SIGN}"}
 _MINUS = "\u2212"
 
 
@@ -28,6 +27,12 @@ class _Entry(NamedTuple):
 def lines(text: str, width: int) -> str:
     """The text with its own line breaks, and more where a line would be longer than `width`."""
     return "\n".join(textwrap.fill(line, width) for line in text.split("\n"))
+
+
+def unit_after(name: str) -> str:
+    """A parameter's unit as it stands after a number."""
+    unit = PARAMETERS[name].unit
+    return {"1": "", "degree": "\N{DEGREE SIGN}"}.get(unit, f" {unit}")
 
 
 def shared_height(fit: Fit) -> float:
@@ -99,7 +104,7 @@ def _entry(fit: Fit, t: int, p: int) -> _Entry:
     shown = f"{value:.{decimals}f}" if decimals is not None else f"{value:.3g}"
     spread = f"{sigma:.{decimals}f}" if decimals is not None else f"{sigma:.2g}"
     spread = spread if np.isfinite(sigma) else "\N{EM DASH}"
-    unit = _UNITS.get(PARAMETERS[fit.free[p]].unit, f" {PARAMETERS[fit.free[p]].unit}")
+    unit = unit_after(fit.free[p])
     flags = ", ".join(text for text, yes in (("at bound", fit.at_bound[t, p]), ("undetermined", not sure)) if yes)
     return _Entry(
         fit.free[p].replace("_", " "),

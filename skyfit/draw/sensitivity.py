@@ -9,6 +9,7 @@ import numpy as np
 from ..fit import PARAMETERS
 from ..scene import Directions, Scene
 from .dome import draw_dome, interpolated, place
+from .fit_table import unit_after
 from .page import figure_maker, write_figure
 
 
@@ -103,7 +104,7 @@ def plot_sensitivity(
                 y = (base + _SIDE * (len(rows) - 0.5 - r)) / tall
                 figure.text(0.12 / wide, y, f"{wavelength[index]:g} nm", fontsize=9, va="center")
         bar = box(x + 0.22, base - 0.08, _SIDE - 0.44, 0.08)
-        _bar(figure, image, bar, _label(name, steps[p]))
+        _bar(figure, image, bar, f"% per +{steps[p]:g}{unit_after(name)}")
     caption = (
         "As on a map: zenith in the middle, north up, east right. Ringed dot: sun. "
         "Red: brighter, blue: darker as the parameter grows."
@@ -121,12 +122,6 @@ def plot_sensitivity(
         _draw_curves(box(_LEFT, _BOTTOM + 0.5, wide - 1.3 - (3.45 if chosen is not None else 0.0), 2.45), names[0],
                      sigmas)  # fmt: skip
     write_figure(figure, path)
-
-
-def _label(name: str, step: float) -> str:
-    unit = PARAMETERS[name].unit
-    unit = {"1": "", "degree": "\N{DEGREE SIGN}"}.get(unit, f" {unit}")
-    return f"% per +{step:g}{unit}"
 
 
 def _bar(figure, image, axes, label: str) -> None:

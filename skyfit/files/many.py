@@ -20,6 +20,7 @@ import numpy as np
 from ..fit import DEFAULT_FREE, Fits, Measurement, PARAMETERS, Response, SkyModel
 from ..fit.inversion import Plan
 from ..fit.many import assemble, fit_chunks, RESULTS
+from ..fit.parameters import fixed_values
 from ..scene import as_float, Sky
 from ..transport import AbstractSolver
 from .netcdf import load_dataset
@@ -104,7 +105,9 @@ def fit_many(
         chunks.append(part)
         if progress is not None:
             progress(sum(len(part["index"]) for part in chunks), times)
-    fits = assemble(sky, plan.free, sky.wavelength_nm[plan.chosen], chunks, plan.kept, settings)
+    fits = assemble(
+        sky, plan.free, sky.wavelength_nm[plan.chosen], chunks, fixed_values(plan.start, plan.free), settings
+    )
     if target is not None and parts is not None:
         with atomic(target) as file:
             _write(fits, file)

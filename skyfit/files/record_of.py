@@ -1,7 +1,6 @@
 """What a fit says, as the record that `record_form` documents."""
 
 from dataclasses import fields
-from importlib import metadata
 
 import jax
 import numpy as np
@@ -11,24 +10,18 @@ from ..fit.parameters import partition, values_of
 from .netcdf import degrees
 from .record_form import SCHEMA, VERSION
 from .units import RADIANCE
+from .writing import skyfit_version
 
 
 def record_of(fit: Fit) -> dict:
     """The record of a fit, in Python's and NumPy's types; what is not finite stands as it is."""
     sky, solver, given = fit.sky, fit.solver, fit.measurement
-    try:
-        version = metadata.version("skyfit")
-    except metadata.PackageNotFoundError:
-        version = None
-    fixed = values_of(fit.start, [name for name in names_of(fit.start) if name not in fit.free])
-    if "turbidity" in fit.free:
-        fixed.pop("aerosol_optical_depth", None)
     station = ("latitude_deg", "longitude_deg", "altitude_m", "pressure_pa")
     common = [p for p, name in enumerate(fit.free) if name in fit.shared]
     return {
         "schema": SCHEMA,
         "version": VERSION,
-        "skyfit_version": version,
+        "skyfit_version": skyfit_version(),
         "source": sky.source,
         "solver": {"name": _class_name(solver)} | {f.name: getattr(solver, f.name) for f in fields(solver)},
         "geometry": solver.geometry,
@@ -52,7 +45,7 @@ def record_of(fit: Fit) -> dict:
             "parameters": _parameters(fit, 0, common),
             "correlation": fit.correlation[0][np.ix_(common, common)],
         },
-        "fixed": {n: {"value": v, "unit": PARAMETERS[n].unit} for n, v in fixed.items()},
+        "fixed": {n: {"value": v, "unit": PARAMETERS[n].unit} for n, v in fit.fixed.items()},
         "calibration": {
             "wavelength_nm": fit.fitted_nm,
             "scale": _once(fit.calibration),

@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Shaped
 
+from ..fit.placed_sun import cosine_from_sun
 from .solar_position import solar_position
 
 
@@ -64,6 +65,5 @@ def sun_agreement(
 
 def _apart(one, other):
     """The angle between two directions, each zenith and azimuth in degrees; degrees."""
-    (z, a), (w, b) = np.deg2rad(one), np.deg2rad(other)
-    cosine = np.cos(z) * np.cos(w) + np.sin(z) * np.sin(w) * np.cos(a - b)
+    cosine = cosine_from_sun(*np.deg2rad(one), *np.deg2rad(other))
     return np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -135,12 +135,6 @@ class Plan:
         _, self.fixed = partition(self.start, self.free)
         self.prior_rows = self._prior_rows(calibration)
 
-    @property
-    def kept(self) -> dict[str, float]:
-        """The values that are not fitted, by name; turbidity and optical depth, one quantity, once."""
-        hidden = "aerosol_optical_depth" if "turbidity" in self.free else "turbidity"
-        return {n: v for n, v in values_of(self.start, PARAMETERS).items() if n not in self.free and n != hidden}
-
     def flaws(self) -> list[str]:
         """Why each time cannot be fitted: "no_samples", "too_few_samples", "sun_below_horizon", or "" if it can."""
         counts = self.sampling.used[:, :, self.chosen].sum(axis=(1, 2))
@@ -227,7 +221,7 @@ class Plan:
             sky=sky, solver=self.solver, free=self.free, shared=self.setup.shared, used=self.sampling.used,
             start=self.start, fwhm_nm=self.sampling.fwhm_nm, measurement=self.measurement, priors=self.priors,
             smooth=self.smooth, response=self.sampling.response, fitted_nm=sky.wavelength_nm[self.chosen],
-            notes=notes, fixed=self.kept, **stack, **words,
+            notes=notes, **stack, **words,
         )  # fmt: skip
 
     def _row(self, t: int, index: int, part: Estimate, order: np.ndarray) -> dict:

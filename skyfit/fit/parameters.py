@@ -214,6 +214,12 @@ def values_of(model: SkyModel, names) -> dict[str, float]:
     return {p.name: float(p.from_leaf(p.leaf(model))) for p in present}
 
 
+def fixed_values(model: SkyModel, free: tuple[str, ...]) -> dict[str, float]:
+    """The values that are not fitted, by name; turbidity and optical depth, one quantity, once."""
+    hidden = "aerosol_optical_depth" if "turbidity" in free else "turbidity"
+    return {n: v for n, v in values_of(model, PARAMETERS).items() if n not in free and n != hidden}
+
+
 def partition(model: SkyModel, names: tuple[str, ...]):
     """The model's free leaves and the rest, as `eqx.partition` gives them."""
     nothing = jax.tree_util.tree_map(lambda _: False, model)

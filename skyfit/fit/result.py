@@ -7,7 +7,7 @@ import numpy as np
 from ..scene import Sky
 from ..transport import AbstractSolver
 from .measurement import Measurement, Response
-from .parameters import PARAMETERS, SkyModel, with_values
+from .parameters import fixed_values, PARAMETERS, SkyModel, with_values
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,11 @@ class Fit:
     smooth: dict[str, float] = field(default_factory=dict)
     response: Response | None = None
     notes: tuple[str, ...] = ()
-    fixed: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """The values that were not fitted, by name, in their stated units."""
+        return fixed_values(self.start, self.free)
 
     @property
     def residual(self) -> np.ndarray:
