@@ -211,7 +211,7 @@ def _present(parameter: Parameter, model: SkyModel) -> bool:
 def values_of(model: SkyModel, names) -> dict[str, float]:
     """The values of the named parameters in their stated units; those the model lacks are left out."""
     present = (PARAMETERS[n] for n in names if _present(PARAMETERS[n], model))
-    return {p.name: float(p.from_leaf(p.leaf(model))) for p in present}
+    return {p.name: p.from_leaf(float(p.leaf(model))) for p in present}
 
 
 def fixed_values(model: SkyModel, free: tuple[str, ...]) -> dict[str, float]:
