@@ -13,12 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics import associated_legendre, gauss_legendre, hat_weights, read_table
+from ..numerics import associated_legendre, gauss_legendre, hat_weights, read_table, spin_legendre
 from ..scene import as_float
 
 
 # nm, where the aerosol optical depth and the turbidity are stated (Preetham 1999, sec. 2.1), and all slopes begin
 REFERENCE_WAVELENGTH = 550.0
+# degree of polarisation of haze at 90 degrees from the sun, where its phase function says nothing of it
+HAZE_POLARISATION = 0.25
+# of integrals over the scattering angle, uniform in it
+_ANGLES = 256
 
 
 class AbstractPhase(eqx.Module):
@@ -36,6 +40,47 @@ class AbstractPhase(eqx.Module):
     @abstractmethod
     def moments(self, count: int, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " moment #wavelength"]:
         """The Legendre moments 0 .. count-1, dimensionless."""
+
+    @abstractmethod
+    def matrix(
+        self, haversine: Float[Array, " direction"], wavelength_nm: Float[Array, " wavelength"]
+    ) -> Float[Array, "element direction #wavelength"]:
+        """The elements F12, F22 and F33 of the scattering matrix over the phase function F11.
+
+        Q counts what is polarised in the plane of scattering: F12 is negative for air. F34 is not kept: it turns
+        polarisation circular and back.
+        """
+
+    def matrix_moments(
+        self, count: int, wavelength_nm: Float[Array, " wavelength"]
+    ) -> Float[Array, "element moment #wavelength"]:
+        r"""The moments $\alpha$, $\gamma$, $\zeta$ of the scattering matrix, 0 .. count-1, without the factor 2 l + 1.
+
+        $\gamma_l = \int F_{12} R_l^0 d\omega$, $\alpha_l = \int (F_{22} R_l^2 - F_{33} T_l^2) d\omega$,
+        $\zeta_l = \int (F_{33} R_l^2 - F_{22} T_l^2) d\omega$: what scattering makes of E from E, of E from the radiance
+        and back, and of B from B.
+
+        **Source:** Siewert 1982, Astron. Astrophys. 109, 195, whose expansion coefficients are 2 l + 1 times these.
+        """
+        nodes, weights = gauss_legendre(_ANGLES)
+        angle = np.pi * nodes
+        half, cosine, sine = (as_float(v) for v in (np.sin(0.5 * angle) ** 2, np.cos(angle), np.sin(angle)))
+        r, t = spin_legendre(cosine, sine, 3, max(count, 1))
+        weighted = self.value(half, wavelength_nm) * as_float(2.0 * np.pi**2 * weights * np.sin(angle))[:, None]
+        f12, f22, f33 = self.matrix(half, wavelength_nm) * weighted[None]
+        alpha, zeta = (r[:, 2] @ a - t[:, 2] @ b for a, b in ((f22, f33), (f33, f22)))
+        return jnp.stack([alpha, r[:, 0] @ f12, zeta])
+
+
+def polarised_like_air(haversine, share) -> Float[Array, "element direction #wavelength"]:
+    r"""A scattering matrix as of air, $F_{12} = -s\, F_{11} \sin^2\gamma / (1 + \cos^2\gamma)$, F22 and F33 as of air.
+
+    **Arguments:** `share` s in [0, 1]: the degree of polarisation at 90 degrees; air without depolarisation has 1.
+    **Source:** a model, for phase functions that say nothing of polarisation.
+    """
+    cosine = 1.0 - 2.0 * haversine[:, None]
+    round_about = 1.0 + cosine**2
+    return jnp.stack([-share * (1.0 - cosine**2) / round_about, jnp.ones_like(cosine), 2.0 * cosine / round_about])
 
 
 class RayleighPhase(AbstractPhase):
@@ -60,6 +105,12 @@ class RayleighPhase(AbstractPhase):
         values = [1.0, 0.0, second] + [0.0] * count
         return jnp.stack([as_float(v) for v in values[:count]])[:, None]
 
+    def matrix(self, haversine, wavelength_nm):
+        share = (1.0 - self.depolarization) / (1.0 + 0.5 * self.depolarization)
+        square = (1.0 - 2.0 * haversine[:, None]) ** 2
+        pure = 0.75 * share * jnp.stack([square - 1.0, 1.0 + square, 2.0 * (1.0 - 2.0 * haversine[:, None])])
+        return pure / (0.75 * share * (1.0 + square) + 1.0 - share)[None]
+
 
 def _henyey_greenstein(haversine, asymmetry):
     denominator = (1.0 - asymmetry) ** 2 + 4.0 * asymmetry * haversine
@@ -78,6 +129,7 @@ class HenyeyGreenstein(AbstractPhase):
     """
 
     asymmetry: Float[Array, ""] = eqx.field(converter=as_float)
+    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION)
     last_degree: ClassVar[int | None] = None
 
     def value(self, haversine, wavelength_nm):
@@ -85,6 +137,9 @@ class HenyeyGreenstein(AbstractPhase):
 
     def moments(self, count, wavelength_nm):
         return _powers(self.asymmetry, count)[:, None]
+
+    def matrix(self, haversine, wavelength_nm):
+        return polarised_like_air(haversine, self.polarisation)
 
 
 class TwoTermHenyeyGreenstein(AbstractPhase):
@@ -99,6 +154,7 @@ class TwoTermHenyeyGreenstein(AbstractPhase):
     asymmetry_second: Float[Array, ""] = eqx.field(converter=as_float)
     forward_fraction: Float[Array, ""] = eqx.field(converter=as_float)
     forward_fraction_slope: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
+    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION)
     last_degree: ClassVar[int | None] = None
 
     def _fraction(self, wavelength_nm):
@@ -114,6 +170,9 @@ class TwoTermHenyeyGreenstein(AbstractPhase):
         first, second = (_powers(g, count)[:, None] for g in (self.asymmetry, self.asymmetry_second))
         return second + self._fraction(wavelength_nm) * (first - second)
 
+    def matrix(self, haversine, wavelength_nm):
+        return polarised_like_air(haversine, self.polarisation)
+
 
 class CornetteShanks(AbstractPhase):
     r"""$p = \frac{3}{8\pi} \frac{(1-g^2)(1+\cos^2\gamma)}{(2+g^2)(1+g^2-2g\cos\gamma)^{3/2}}$.
@@ -123,6 +182,7 @@ class CornetteShanks(AbstractPhase):
     """
 
     asymmetry: Float[Array, ""] = eqx.field(converter=as_float)
+    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION)
     last_degree: ClassVar[int | None] = None
 
     def value(self, haversine, wavelength_nm):
@@ -142,6 +202,9 @@ class CornetteShanks(AbstractPhase):
         both = lobe + times_cosine(times_cosine(lobe))
         return (1.5 / (2.0 + self.asymmetry**2) * both[:count])[:, None]
 
+    def matrix(self, haversine, wavelength_nm):
+        return polarised_like_air(haversine, self.polarisation)
+
 
 class Tabulated(AbstractPhase):
     """A table of log values over angle and wavelength, interpolated linearly in both and normalised.
@@ -153,6 +216,7 @@ class Tabulated(AbstractPhase):
     angle: Float[Array, " angle"] = eqx.field(converter=as_float)
     table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float)
     log_value: Float[Array, "angle band"] = eqx.field(converter=as_float)
+    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION)
     last_degree: ClassVar[int | None] = None
 
     @classmethod
@@ -174,7 +238,7 @@ class Tabulated(AbstractPhase):
         return jnp.exp(hat_weights(angle, self.angle) @ over_wavelength)
 
     def _quadrature(self, count, wavelength_nm):
-        nodes, weights = gauss_legendre(256)
+        nodes, weights = gauss_legendre(_ANGLES)
         # nodes uniform in angle, dense enough for the kinks of the table
         angle = np.pi * nodes
         values = self._unnormalised(as_float(np.sin(0.5 * angle) ** 2), wavelength_nm)
@@ -189,3 +253,6 @@ class Tabulated(AbstractPhase):
     def moments(self, count, wavelength_nm):
         moments = self._quadrature(count, wavelength_nm)
         return moments / moments[:1]
+
+    def matrix(self, haversine, wavelength_nm):
+        return polarised_like_air(haversine, self.polarisation)
