@@ -57,8 +57,8 @@ class AbstractPhase(eqx.Module):
         r"""The moments $\alpha$, $\gamma$, $\zeta$ of the scattering matrix, 0 .. count-1, without the factor 2 l + 1.
 
         $\gamma_l = \int F_{12} R_l^0 d\omega$, $\alpha_l = \int (F_{22} R_l^2 - F_{33} T_l^2) d\omega$,
-        $\zeta_l = \int (F_{33} R_l^2 - F_{22} T_l^2) d\omega$: what scattering makes of E from E, of E from the radiance
-        and back, and of B from B.
+        $\zeta_l = \int (F_{33} R_l^2 - F_{22} T_l^2) d\omega$: what scattering makes of E from E, of E from
+        the radiance and back, and of B from B.
 
         **Source:** Siewert 1982, Astron. Astrophys. 109, 195, whose expansion coefficients are 2 l + 1 times these.
         """
