@@ -79,6 +79,7 @@ from .transport import (
     scattered_light as scattered_light,
     Shells as Shells,
     SingleScattering as SingleScattering,
+    Stokes as Stokes,
     Uniform as Uniform,
     upsample as upsample,
     Upsampled as Upsampled,

@@ -6,10 +6,11 @@ from jaxtyping import Array, Float
 
 from ..atmosphere import Atmosphere, Ground
 from ..scene import Scene
-from .orders import streamed_radiance
+from .layers import Resolution
+from .orders import streamed_light
 from .single import scatterer_indices, transmitted_sun
 from .solver import AbstractSolver, check_geometry, check_on_ground, Fluxes, Geometry, optics
-from .streams import diffuse_field, Resolution
+from .streams import diffuse_field
 
 
 class DoubleScattering(AbstractSolver):
@@ -58,7 +59,7 @@ class DoubleScattering(AbstractSolver):
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance by the first two orders of scattering, W m^-2 sr^-1 nm^-1."""
         check_on_ground(scene, "DoubleScattering")
-        return streamed_radiance(_over_black(atmosphere), scene, self._resolution(1), self.nodes, self.spectral_nodes)
+        return streamed_light(_over_black(atmosphere), scene, self._resolution(1), self.nodes, self.spectral_nodes)[0]
 
     @eqx.filter_jit
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:

@@ -7,9 +7,10 @@ from jaxtyping import Array, Float
 from ..atmosphere import Atmosphere
 from ..numerics import chebyshev_nodes, chebyshev_weights
 from ..scene import Scene
+from .layers import Resolution, scaled_optics
 from .single import scatterer_indices, single_scattering, sun_depth, transmitted_sun
-from .solver import AbstractSolver, check_geometry, check_on_ground, Fluxes, Geometry, optics
-from .streams import diffuse_field, multiple_scattering, Resolution, scaled_optics
+from .solver import AbstractSolver, check_geometry, check_on_ground, Fluxes, Geometry, optics, Stokes
+from .streams import diffuse_field, multiple_scattering
 
 
 # sr^-1, per unit irradiance; what is darker counts as black
@@ -45,36 +46,60 @@ class OrdersOfScattering(AbstractSolver):
     nodes: int = eqx.field(static=True, default=24)
     spectral_nodes: int = eqx.field(static=True, default=8)
     geometry: Geometry = eqx.field(static=True, default="spherical")
+    polarised: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         check_geometry(self.geometry)
         self._resolution().check(self.nodes, self.spectral_nodes)
 
     @classmethod
-    def scout(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
+    def scout(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
         """Some per cent: for the first steps of a fit and its slopes."""
-        return cls(streams=4, modes=8, levels=8, orders=2, nodes=8, spectral_nodes=4, geometry=geometry)
+        return cls(
+            streams=4, modes=8, levels=8, orders=2, nodes=8, spectral_nodes=4, geometry=geometry, polarised=polarised
+        )
 
     @classmethod
-    def draft(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
+    def draft(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
         """Flat: 0.05 % in the median, to 2 % at 85 degrees."""
-        return cls(streams=6, modes=12, levels=16, orders=4, nodes=16, spectral_nodes=6, geometry=geometry)
+        return cls(
+            streams=6, modes=12, levels=16, orders=4, nodes=16, spectral_nodes=6, geometry=geometry, polarised=polarised
+        )
 
     @classmethod
-    def normal(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
+    def normal(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
         """Flat: 0.01 % in the median, to 0.5 % at 85 degrees; spherical 0.3 %."""
-        return cls(geometry=geometry)
+        return cls(geometry=geometry, polarised=polarised)
 
     @classmethod
-    def fine(cls, geometry: Geometry = "spherical") -> "OrdersOfScattering":
+    def fine(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
         """The reference of the house: flat within 0.1 %."""
-        return cls(streams=16, modes=32, levels=100, orders=12, nodes=64, spectral_nodes=0, geometry=geometry)
+        return cls(
+            streams=16,
+            modes=32,
+            levels=100,
+            orders=12,
+            nodes=64,
+            spectral_nodes=0,
+            geometry=geometry,
+            polarised=polarised,
+        )
 
     @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance by all orders of scattering, W m^-2 sr^-1 nm^-1."""
         check_on_ground(scene, "OrdersOfScattering")
-        return streamed_radiance(atmosphere, scene, self._resolution(), self.nodes, self.spectral_nodes)
+        return streamed_light(atmosphere, scene, self._resolution(), self.nodes, self.spectral_nodes)[0]
+
+    @eqx.filter_jit
+    def stokes(self, atmosphere: Atmosphere, scene: Scene) -> Stokes:
+        """Radiance and linear polarisation, W m^-2 sr^-1 nm^-1, of a solver with `polarised`."""
+        check_on_ground(scene, "OrdersOfScattering")
+        if not self.polarised:
+            raise ValueError(
+                "`polarised` must be True for `stokes`, got False: OrdersOfScattering.normal(polarised=True)"
+            )
+        return Stokes(*streamed_light(atmosphere, scene, self._resolution(), self.nodes, self.spectral_nodes, True))
 
     @eqx.filter_jit
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
@@ -100,32 +125,35 @@ class OrdersOfScattering(AbstractSolver):
         return Fluxes(direct * irradiance, diffuse * irradiance, up * irradiance, top)
 
     def _resolution(self) -> Resolution:
-        return Resolution(self.streams, self.modes, self.levels, self.orders, self.geometry)
+        return Resolution(self.streams, self.modes, self.levels, self.orders, self.geometry, polarised=self.polarised)
 
 
-def streamed_radiance(
-    atmosphere: Atmosphere, scene: Scene, resolution: Resolution, nodes: int, spectral_nodes: int
-) -> Float[Array, "direction wavelength"]:
+def streamed_light(
+    atmosphere: Atmosphere, scene: Scene, resolution: Resolution, nodes: int, spectral_nodes: int, stokes: bool = False
+) -> Float[Array, "stokes direction wavelength"]:
     """Exact single scattering and what streams make of the higher orders, W m^-2 sr^-1 nm^-1.
 
     **Arguments:** `nodes` of the single-scattering integral; `spectral_nodes`, wavelengths at which the streams
-    solve, 0 for all of the scene's.
+    solve, 0 for all of the scene's. **Returns:** the radiance alone, or with `stokes` I, Q and U.
     """
     constituents = atmosphere.constituents
     wavelength = scene.wavelength_nm
     if not scatterer_indices(constituents):
-        return jnp.zeros((scene.view.zenith.shape[0], wavelength.shape[0]))
+        return jnp.zeros((3 if stokes else 1, scene.view.zenith.shape[0], wavelength.shape[0]))
     extinction = scaled_optics(constituents, wavelength, resolution).extinction
-    single = single_scattering(constituents, scene, extinction, nodes, resolution.geometry)
+    single = single_scattering(constituents, scene, extinction, nodes, resolution.geometry, stokes)
     if 0 < spectral_nodes < wavelength.shape[0] and atmosphere.smooth_in_wavelength:
-        multiple = _interpolated_multiple(atmosphere, scene, resolution, spectral_nodes)
+        multiple = _interpolated_multiple(atmosphere, scene, resolution, spectral_nodes, stokes)
     else:
-        multiple = multiple_scattering(atmosphere, scene, wavelength, resolution)
-    return (single + multiple) * scene.solar_irradiance[None]
+        multiple = multiple_scattering(atmosphere, scene, wavelength, resolution, stokes)
+    return (single + multiple) * scene.solar_irradiance[None, None]
 
 
-def _interpolated_multiple(atmosphere: Atmosphere, scene: Scene, resolution: Resolution, few: int):
-    """Multiple scattering solved at a few wavelengths: its log is smooth, absorption on the sun's path apart."""
+def _interpolated_multiple(atmosphere: Atmosphere, scene: Scene, resolution: Resolution, few: int, stokes: bool):
+    """Multiple scattering solved at a few wavelengths: its log is smooth, absorption on the sun's path apart.
+
+    So are Q and U over I.
+    """
     wavelength = scene.wavelength_nm
     low, high = jnp.log(jnp.min(wavelength)), jnp.log(jnp.max(wavelength))
     unit = jnp.asarray(chebyshev_nodes(few), wavelength.dtype)
@@ -137,10 +165,13 @@ def _interpolated_multiple(atmosphere: Atmosphere, scene: Scene, resolution: Res
         depth = optics(absorbers, wavelengths).extinction
         return sun_depth(absorbers, scene, depth, resolution.geometry)
 
-    multiple = multiple_scattering(atmosphere, scene, nodes, resolution)
+    multiple, *polarised = multiple_scattering(atmosphere, scene, nodes, resolution, stokes)
     dark = multiple < _DARK
     smooth = jnp.log(jnp.where(dark, _DARK, multiple)) + absorption(nodes)[None]
-    exponent = smooth @ chebyshev_weights(place, few).T - absorption(wavelength)[None]
+    weights = chebyshev_weights(place, few).T
+    exponent = smooth @ weights - absorption(wavelength)[None]
     # no sky is brighter than e^5 per unit irradiance: what is interpolated between black nodes must not overflow
     everywhere = jnp.exp(jnp.minimum(exponent, 5.0))
-    return jnp.where(jnp.all(dark, axis=1)[:, None], 0.0, everywhere)
+    radiance = jnp.where(jnp.all(dark, axis=1)[:, None], 0.0, everywhere)
+    shares = [jnp.where(dark, 0.0, light / jnp.where(dark, 1.0, multiple)) @ weights for light in polarised]
+    return jnp.stack([radiance, *(radiance * share for share in shares)])

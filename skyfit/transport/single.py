@@ -13,7 +13,7 @@ from ..atmosphere import AbstractConstituent, Atmosphere, Layered
 from ..numerics import gauss_legendre
 from ..scene import Directions, Scene
 from .optical_path import slant_column
-from .solver import AbstractSolver, check_geometry, Fluxes, Geometry, optics, Path
+from .solver import AbstractSolver, check_geometry, Fluxes, Geometry, optics, Path, Stokes
 from .view_path import end_points, eye_column, lit_points, Views, views_of
 
 
@@ -23,16 +23,19 @@ def single_scattering(
     extinction: Float[Array, "constituent wavelength"],
     nodes: int,
     geometry: Geometry,
-) -> Float[Array, "direction wavelength"]:
-    """Radiance of sunlight that is scattered once, per unit solar irradiance, sr^-1.
+    stokes: bool = False,
+) -> Float[Array, "stokes direction wavelength"]:
+    """Light of the sun that is scattered once, per unit solar irradiance, sr^-1.
 
     **Arguments:** `extinction`, optical depths that attenuate (a delta-M solver passes its scaled ones; what
-    scatters is unscaled); `nodes`, points per view. **Returns:** `[direction, wavelength]`.
+    scatters is unscaled); `nodes`, points per view; `stokes`: I, Q and U instead of the radiance alone.
     """
-    return _scattered_once(constituents, scene, extinction, nodes, geometry, views_of(scene, geometry))
+    return _scattered_once(constituents, scene, extinction, nodes, geometry, views_of(scene, geometry), stokes)
 
 
-def _scattered_once(constituents, scene: Scene, extinction, nodes: int, geometry: Geometry, views: Views):
+def _scattered_once(
+    constituents, scene: Scene, extinction, nodes: int, geometry: Geometry, views: Views, stokes: bool = False
+):
     reach = jnp.max(jnp.stack([c.profile.reach() for c in constituents if c.phase is not None]))
     points, step = lit_points(views, reach, _edges(constituents), nodes, geometry)
     to_eye = [eye_column(c.profile, views, points, geometry) for c in constituents]
@@ -43,11 +46,28 @@ def _scattered_once(constituents, scene: Scene, extinction, nodes: int, geometry
     source, column = jax.lax.optimization_barrier((source, column))
     integral = _dimmed(source, column, extinction)
     scattering = optics(constituents, scene.wavelength_nm).scattering
-    total = jnp.zeros_like(integral[:, 0])
+    total, polarised = jnp.zeros_like(integral[:, 0]), jnp.zeros_like(integral[:, 0])
     for row, i in enumerate(scatterer_indices(constituents)):
-        phase = constituents[i].phase.value(views.half_angle, scene.wavelength_nm)
-        total = total + phase * scattering[i][None] * integral[:, row]
-    return total
+        phase = constituents[i].phase
+        light = phase.value(views.half_angle, scene.wavelength_nm) * scattering[i][None] * integral[:, row]
+        total = total + light
+        if stokes:
+            polarised = polarised + phase.matrix(views.half_angle, scene.wavelength_nm)[0] * light
+    if not stokes:
+        return total[None]
+    along, across = _turned_planes(scene)
+    return jnp.stack([total, along[:, None] * polarised, across[:, None] * polarised])
+
+
+def _turned_planes(scene: Scene):
+    """Cosine and sine of twice the angle from the vertical plane of each view to that of scattering."""
+    zenith, turn = scene.view.zenith, scene.view.azimuth - scene.sun_azimuth
+    up = jnp.sin(scene.sun_zenith) * jnp.cos(zenith) * jnp.cos(turn) - jnp.cos(scene.sun_zenith) * jnp.sin(zenith)
+    aside = -jnp.sin(scene.sun_zenith) * jnp.sin(turn)
+    square = up**2 + aside**2
+    # toward the sun there is no plane, and no polarisation
+    safe = jnp.where(square > 0.0, square, 1.0)
+    return (up**2 - aside**2) / safe, 2.0 * up * aside / safe
 
 
 @jax.custom_jvp
@@ -167,6 +187,11 @@ class SingleScattering(AbstractSolver):
         return _radiance(self, atmosphere, scene)
 
     @eqx.filter_jit
+    def stokes(self, atmosphere: Atmosphere, scene: Scene) -> Stokes:
+        """Radiance and linear polarisation by single scattering."""
+        return Stokes(*_light(self, atmosphere, scene, stokes=True))
+
+    @eqx.filter_jit
     def path(self, atmosphere: Atmosphere, scene: Scene, distance: Float[Array, " direction"]) -> Path:
         """The air between the observer and objects at `distance` (m) along each view.
 
@@ -181,7 +206,7 @@ class SingleScattering(AbstractSolver):
             depth = depth + eye_column(c.profile, views, ends, self.geometry) * vertical[None]
         inscatter = jnp.zeros_like(depth)
         if scatterer_indices(constituents):
-            once = _scattered_once(constituents, scene, extinction, self.nodes, self.geometry, views)
+            (once,) = _scattered_once(constituents, scene, extinction, self.nodes, self.geometry, views)
             inscatter = once * scene.solar_irradiance[None]
         return Path(jnp.exp(-depth), inscatter)
 
@@ -196,12 +221,17 @@ class SingleScattering(AbstractSolver):
 
 
 def _radiance(solver: SingleScattering, atmosphere: Atmosphere, scene: Scene):
+    return _light(solver, atmosphere, scene, stokes=False)[0]
+
+
+def _light(solver: SingleScattering, atmosphere: Atmosphere, scene: Scene, stokes: bool):
+    """The radiance, or I, Q and U, `[stokes, direction, wavelength]`."""
     constituents = atmosphere.constituents
     if not scatterer_indices(constituents):
-        return jnp.zeros((scene.view.zenith.shape[0], scene.wavelength_nm.shape[0]))
+        return jnp.zeros((3 if stokes else 1, scene.view.zenith.shape[0], scene.wavelength_nm.shape[0]))
     extinction = optics(constituents, scene.wavelength_nm).extinction
-    once = single_scattering(constituents, scene, extinction, solver.nodes, solver.geometry)
-    return once * scene.solar_irradiance[None]
+    once = single_scattering(constituents, scene, extinction, solver.nodes, solver.geometry, stokes)
+    return once * scene.solar_irradiance[None, None]
 
 
 def fluxes_by_quadrature(

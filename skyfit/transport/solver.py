@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractConstituent, Atmosphere
+from ..numerics import safe_sqrt
 from ..scene import Scene
 
 
@@ -24,6 +25,31 @@ class Fluxes(NamedTuple):
     diffuse_down: Float[Array, " wavelength"]
     up: Float[Array, " wavelength"]
     up_at_top: Float[Array, " wavelength"] | None = None
+
+
+class Stokes(NamedTuple):
+    r"""Linearly polarised skylight, W m^-2 sr^-1 nm^-1, `[direction, wavelength]` each.
+
+    `radiance` I; `q` is positive where light swings in the vertical plane through the view, `u` where it swings at 45
+    degrees to it, from the zenith toward increasing azimuth. V is neglected: air makes none, haze makes it of what air
+    has polarised, a thousandth of I at most.
+    """
+
+    radiance: Float[Array, "direction wavelength"]
+    q: Float[Array, "direction wavelength"]
+    u: Float[Array, "direction wavelength"]
+
+    @property
+    def degree(self) -> Float[Array, "direction wavelength"]:
+        r"""The degree of linear polarisation, $\sqrt{Q^2 + U^2} / I$, in [0, 1]; 0 in the dark."""
+        lit = self.radiance > 0.0
+        return jnp.where(lit, safe_sqrt(self.q**2 + self.u**2) / jnp.where(lit, self.radiance, 1.0), 0.0)
+
+    @property
+    def angle(self) -> Float[Array, "direction wavelength"]:
+        """The angle of polarisation from the vertical plane, in (-pi/2, pi/2], rad; 0 where nothing is polarised."""
+        some = self.q**2 + self.u**2 > 0.0
+        return 0.5 * jnp.arctan2(jnp.where(some, self.u, 0.0), jnp.where(some, self.q, 1.0))
 
 
 class Path(NamedTuple):
