@@ -32,7 +32,11 @@ SMALL = {geometry: OrdersOfScattering(3, 3, 8, 4, 8, 3, geometry) for geometry i
 SINGLE = {geometry: SingleScattering(12, geometry) for geometry in ("flat", "spherical")}
 DOUBLE = {geometry: DoubleScattering(3, 3, 8, 8, 3, geometry) for geometry in ("flat", "spherical")}
 SHELLS = {geometry: Shells(12, geometry) for geometry in ("flat", "spherical")}
-KINDS = {"single": SINGLE, "double": DOUBLE, "orders": SMALL, "shells": SHELLS, "uniform": {"flat": Uniform()}}
+POLARISED = {"spherical": OrdersOfScattering(3, 3, 8, 4, 8, 3, polarised=True)}
+KINDS = {
+    "single": SINGLE, "double": DOUBLE, "orders": SMALL, "polarised": POLARISED, "shells": SHELLS,
+    "uniform": {"flat": Uniform()},
+}  # fmt: skip
 SOLVERS = {f"{name} {geometry}": kind[geometry] for name, kind in KINDS.items() for geometry in kind}
 # compilation is most of the time of these tests: programs that run once are not worth optimising
 HASTE = {"xla_backend_optimization_level": 0}

@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..fit import Fit, PARAMETERS, time_names
+from ..transport import OrdersOfScattering
 from .options import console, table
 
 
@@ -126,8 +127,9 @@ def _open_ends(fit: Fit):
 
 def _about(fit: Fit):
     known = "stated" if fit.measurement.stated(fit.sky) else "assumed"
-    error = 100.0 * fit.measurement.model_error
+    error = 100.0 * fit.measurement.allowed_error(fit.solver)
     noise = f"noise, {_span(fit.scale, '.2g')} times the {known} one"
+    yield f"model: {_solver(fit)}"
     yield f"sigma: {noise}, and a model error of {error:.2g} % (by model)"
     yield from _calibration(fit)
     yield from _rejected(fit)
@@ -142,6 +144,14 @@ def _about(fit: Fit):
         yield f"note: {note}"
     for reason, count in fit.sky.masked.items():
         yield f"masked: {count} samples {reason}"
+
+
+def _solver(fit: Fit) -> str:
+    name = type(fit.solver).__name__
+    if not isinstance(fit.solver, OrdersOfScattering):
+        return f"{name}, {fit.solver.geometry}, scalar (polarisation left out)"
+    kind = "polarised" if fit.solver.polarised else "scalar (polarisation left out)"
+    return f"{name}, {fit.solver.geometry}, {fit.solver.streams} streams, {kind}"
 
 
 def _span(values: np.ndarray, form: str) -> str:

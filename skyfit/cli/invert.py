@@ -10,7 +10,6 @@ from ..draw import plot
 from ..files import load, read, save, write_prediction
 from ..fit import DEFAULT_FREE, invert, Measurement, PARAMETERS, predict
 from ..scene import Sky
-from ..transport import AbstractSolver
 from .asked import names_in, priors_of, response_of, shared_of, smooth_of, start_of
 from .fit_report import print_fit
 from .options import (
@@ -38,7 +37,7 @@ UtcOffset = Annotated[float | None, typer.Option(help="hours of local time ahead
 Altitude = Annotated[float | None, typer.Option(help="of the station, metres")]
 FreeOption = Annotated[str, typer.Option(help=f"with commas, of: {', '.join(PARAMETERS)}")]
 DEFAULT_FREE_TEXT = ",".join(DEFAULT_FREE)
-_USUAL, _USUAL_SOLVER = Measurement(), (SolverName.orders, PresetName.normal, GeometryName.spherical)
+_USUAL, _USUAL_SOLVER = Measurement(), (SolverName.orders, PresetName.normal)
 # degrees; `Measurement` ends at half a radian
 _WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 
@@ -56,7 +55,7 @@ def invert_command(
     relative: Annotated[float | None, typer.Option(help="noise, share of each sample")] = None,
     floor: Annotated[float | None, typer.Option(help="noise, share of the time's median radiance")] = None,
     calibration: Annotated[float | None, typer.Option(help="sigma of each wavelength's scale, 0: exact")] = None,
-    model_error: Annotated[float, typer.Option(help="relative, of the model")] = _USUAL.model_error,
+    model_error: Annotated[float | None, typer.Option(help="relative, of the model (0.003; scalar 0.007)")] = None,
     field_of_view: Annotated[float, typer.Option(help="full cone of the instrument, degrees")] = 0.0,
     loss: Annotated[LossName, typer.Option(help="of residuals beyond the threshold")] = LossName.huber,
     threshold: Annotated[float, typer.Option(help="of the loss, in sigma")] = _USUAL.threshold,
@@ -69,7 +68,10 @@ def invert_command(
     fwhm: LineShape = None,
     solver: SolverOption = _USUAL_SOLVER[0],
     preset: PresetOption = _USUAL_SOLVER[1],
-    geometry: GeometryOption = _USUAL_SOLVER[2],
+    geometry: GeometryOption = GeometryName.spherical,
+    polarised: Annotated[
+        bool | None, typer.Option("--polarised/--scalar", help="(default: polarised for spectra, scalar for channels)")
+    ] = None,
 ):
     """Recover turbidity or aerosol optical depth, and more, from a measured sky."""
     names, smoothed = names_in(free), smooth_of(smooth or [])
@@ -80,7 +82,9 @@ def invert_command(
     measured = _read(sky, latitude, longitude, utc_offset, altitude, fwhm)
     start = start_of(names, fix or [], measured)
     common = shared_of(names, shared, independent, tuple(smoothed), len(measured.time))
-    last, first = _solvers(solver, preset, geometry)
+    vector = response is None and solver is SolverName.orders if polarised is None else polarised
+    last = make_solver(solver, preset, geometry, vector)
+    first = None if (solver, preset) == _USUAL_SOLVER else make_solver(solver, PresetName.draft, geometry, vector)
     check_folder(out)
     with progress("compiling and fitting") as report:
         fit = invert(
@@ -94,15 +98,6 @@ def invert_command(
     print_fit(fit)
     written = ", ".join(str(out / f"fit.{end}") for end in ("json", "nc", "png"))
     console.print(f"written: {written}", highlight=False)
-
-
-def _solvers(
-    solver: SolverName, preset: PresetName, geometry: GeometryName
-) -> tuple[AbstractSolver | None, AbstractSolver | None]:
-    """The solvers of the last and of the first steps; None: the usual ones of `invert`."""
-    if (solver, preset, geometry) == _USUAL_SOLVER:
-        return None, None
-    return make_solver(solver, preset, geometry), make_solver(solver, PresetName.draft, geometry)
 
 
 @app.command("predict")

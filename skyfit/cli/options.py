@@ -73,7 +73,12 @@ OutFolder = Annotated[Path, typer.Option("--out", help="folder for the results")
 LineShape = Annotated[float | None, typer.Option(help="Gaussian line shape of the instrument, nm")]
 
 
-def make_solver(name: SolverName, preset: PresetName, geometry: GeometryName) -> AbstractSolver:
+def make_solver(
+    name: SolverName, preset: PresetName, geometry: GeometryName, polarised: bool = False
+) -> AbstractSolver:
+    """The solver of some words; only `orders` may be polarised."""
+    if polarised and name is not SolverName.orders:
+        raise ValueError(f"`--polarised` must be left out with `--solver {name.value}`: only orders knows polarisation")
     kinds = {
         SolverName.orders: OrdersOfScattering,
         SolverName.double: DoubleScattering,
@@ -81,7 +86,8 @@ def make_solver(name: SolverName, preset: PresetName, geometry: GeometryName) ->
         SolverName.shells: Shells,
         SolverName.uniform: Uniform,
     }
-    return getattr(kinds[name], preset.value)(geometry.value)
+    settings = {"polarised": True} if polarised else {}
+    return getattr(kinds[name], preset.value)(geometry.value, **settings)
 
 
 def make_atmosphere(

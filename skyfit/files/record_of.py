@@ -33,7 +33,7 @@ def record_of(fit: Fit) -> dict:
             "floor": given.floor,
             "calibration": given.calibration,
             "calibration_prior": given.calibration_prior(sky),
-            "model_error": given.model_error,
+            "model_error": given.allowed_error(solver),
             "field_of_view_deg": np.round(np.degrees(given.field_of_view), 10),
             "loss": given.loss,
             "threshold": given.threshold,

@@ -59,7 +59,8 @@ def invert(
 
     **Arguments**
 
-    - `sky` (`skyfit.read`); `free`, names among `PARAMETERS`; `solver`, default `OrdersOfScattering.normal()`
+    - `sky` (`skyfit.read`); `free`, names among `PARAMETERS`; `solver`, default `OrdersOfScattering.normal()`,
+      polarised for spectral radiance, scalar for the channels of a `response`
     - `start`: the values that are not fitted, and those of the free ones where the search begins; with `guess` the
       haze's begin where single scattering explains the sky best; `starts` - 1 random ones besides
     - `fwhm_nm`: line shape (default: the file's, or estimated from the solar lines); `response`: channels of a camera
@@ -98,11 +99,12 @@ class Plan:
     ):  # fmt: skip
         self.sky, self.free, shared = sky, tuple(free), tuple(shared)
         self.measurement = Measurement() if measurement is None else measurement
-        self.solver = OrdersOfScattering.normal() if solver is None else solver
+        # colours of a camera are told less by polarisation than by what its channels really are
+        self.solver = OrdersOfScattering.normal(polarised=response is None) if solver is None else solver
         # of the first steps, of the last ones' slopes and of their radiance
         if draft is None and isinstance(self.solver, OrdersOfScattering):
-            geometry = self.solver.geometry
-            self.solvers = OrdersOfScattering.scout(geometry), OrdersOfScattering.draft(geometry), self.solver
+            kind = self.solver.geometry, self.solver.polarised
+            self.solvers = OrdersOfScattering.scout(*kind), OrdersOfScattering.draft(*kind), self.solver
         else:
             first = self.solver if draft is None else draft
             self.solvers = first, first, self.solver
@@ -126,7 +128,7 @@ class Plan:
         shared = tuple(n for n in PARAMETERS if n in shared)
         calibration = self.measurement.calibration_prior(sky)
         self.setup = Setup(
-            own, shared, self.measurement.loss, self.measurement.threshold, self.measurement.model_error,
+            own, shared, self.measurement.loss, self.measurement.threshold, self.measurement.allowed_error(self.solver),
             calibration > 0.0, max_steps,
         )  # fmt: skip
         # a single time has no neighbour, and nothing to share

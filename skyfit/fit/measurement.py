@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from ..light.colour import observer_weights, SRGB_FROM_XYZ
 from ..scene import Sky
+from ..transport import AbstractSolver, OrdersOfScattering
 
 
 Loss = Literal["squares", "huber", "cauchy"]
@@ -16,6 +17,8 @@ Loss = Literal["squares", "huber", "cauchy"]
 # where a file gives none, of each sample and of the time's median radiance: so are the residuals of settled measured
 # scans (experiments/measured_sky.py)
 _RELATIVE, _FLOOR = 0.02, 0.05
+# of polarised solvers and of others
+_MODEL_ERROR = {True: 0.003, False: 0.007}
 # the calibration's prior where the noise is not known either
 _CALIBRATION = 0.01
 
@@ -30,7 +33,8 @@ class Measurement:
       this prior; 0: exact. None: 0 if the noise is given, by the file or here, else 0.01.
     - `model_error`: relative size of each of the smooth errors of the model that `sigma` allows for (`error_shapes`):
       by comparison with other solvers 0.006 for leaving polarisation out and 0.003 for a haze at another height; for
-      skies that a scalar solver made, of known haze height, 0.001 (flat: 0.0005; drafts 0.004 and 0.002).
+      skies that a solver of the same kind made, of known haze height, 0.001 (flat: 0.0005; drafts 0.004 and 0.002).
+      None: 0.003 with a polarised solver, else 0.007.
     - `field_of_view`: full cone angle of what the instrument sees, radians; 0: a ray.
     - `loss`: of a residual beyond `threshold` standard deviations: "squares", "huber" (linear) or "cauchy"
       (logarithmic), against clouds, masts and flare.
@@ -39,7 +43,7 @@ class Measurement:
     relative: float | None = None
     floor: float | None = None
     calibration: float | None = None
-    model_error: float = 0.007
+    model_error: float | None = None
     field_of_view: float = 0.0
     loss: Loss = "huber"
     threshold: float = 3.0
@@ -82,6 +86,12 @@ class Measurement:
         if self.calibration is not None:
             return self.calibration
         return 0.0 if self.stated(sky) else _CALIBRATION
+
+    def allowed_error(self, solver: AbstractSolver) -> float:
+        """The relative size of the model's errors with a solver."""
+        if self.model_error is not None:
+            return self.model_error
+        return _MODEL_ERROR[isinstance(solver, OrdersOfScattering) and solver.polarised]
 
 
 class Robust(NamedTuple):

@@ -92,7 +92,7 @@ def solve(layers: Layers, resolution: Resolution, modes: int) -> Field:
     if resolution.orders > 1:
         (left, total), _ = jax.lax.scan(order, (left, total), None, length=resolution.orders - 1)
     if diffuse is None:
-        return Field(*total)
+        return Field(total[0], total[1], total[2])
     even, odd, more_flux, more_top = diffuse(left[0, 0, 0], left[1, 0, 0])
     return Field(_added(total[0], even, odd), total[1] + more_flux, total[2] + more_top)
 
