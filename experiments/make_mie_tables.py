@@ -176,7 +176,7 @@ def check():
                 [
                     0.5 * (abs(s2) ** 2 + abs(s1) ** 2),
                     0.5 * (abs(s2) ** 2 - abs(s1) ** 2),
-                    (s1 * np.conj(s2)).real,
+                    np.real(s1 * np.conj(s2)),
                 ]
             )
             ours = np.array([extinction[0, 0], scattering[0, 0]])

@@ -103,7 +103,7 @@ class _Modes(eqx.Module):
 
     @property
     def tables(self) -> Mapping[str, np.ndarray]:
-        return _tables(self.refractive_index.dtype)
+        return _tables(jnp.result_type(self.refractive_index))
 
     @property
     def shares(self) -> Float[Array, " mode"]:
@@ -146,7 +146,7 @@ class _Modes(eqx.Module):
 
     def volumes(self, efficiencies) -> Float[Array, " mode"]:
         """Volume of each mode for unit optical depth of both at 550 nm, um^3 over um^2."""
-        reference = jnp.full((1,), REFERENCE_WAVELENGTH, self.refractive_index.dtype)
+        reference = jnp.full((1,), REFERENCE_WAVELENGTH, jnp.result_type(self.refractive_index))
         extinction = self.size_weights(reference)[:, 0] @ efficiencies[0]
         return self.shares * (1e-3 * REFERENCE_WAVELENGTH) / extinction
 
@@ -254,6 +254,12 @@ class TwoModeAerosol(AbstractConstituent):
     def coarse_effective_radius(self) -> Float[Array, ""]:
         r"""Effective radius of the coarse mode, $r e^{-\sigma^2/2}$, micrometres."""
         return self.coarse_radius * jnp.exp(-0.5 * self.coarse_width**2)
+
+    @property
+    def volumes(self) -> Float[Array, " mode"]:
+        """Volume of the fine and of the coarse mode in the column, um^3/um^2."""
+        modes = self._modes
+        return self.optical_depth * modes.volumes(modes.efficiencies(modes.node_weights()))
 
     @property
     def effective_radius(self) -> Float[Array, ""]:
