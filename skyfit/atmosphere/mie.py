@@ -182,12 +182,12 @@ class TwoModePhase(AbstractPhase):
 
     def value(self, haversine, wavelength_nm):
         (by_angle,) = self._by_angle(wavelength_nm)
-        total = jnp.asarray(_moment_weights(1), by_angle.dtype) @ by_angle
+        total = _moment_weights(1).astype(by_angle.dtype) @ by_angle
         return _angle_weights(jnp.clip(haversine, 0.0, 1.0)) @ _with_ends(by_angle / total)
 
     def moments(self, count, wavelength_nm):
         (by_angle,) = self._by_angle(wavelength_nm)
-        moments = jnp.asarray(_moment_weights(count), by_angle.dtype) @ by_angle
+        moments = _moment_weights(count).astype(by_angle.dtype) @ by_angle
         return moments / moments[:1]
 
     def matrix(self, haversine, wavelength_nm):
