@@ -21,6 +21,7 @@ from .atmosphere import (
     Tabulated as Tabulated,
     turbidity_from_range as turbidity_from_range,
     turbidity_to_optical_depth as turbidity_to_optical_depth,
+    TwoModeAerosol as TwoModeAerosol,
     TwoTermHenyeyGreenstein as TwoTermHenyeyGreenstein,
 )
 from .draw import plot as plot

@@ -28,6 +28,7 @@ from skyfit.atmosphere import (
     RayleighPhase,
     Tabulated,
     turbidity_to_optical_depth,
+    TwoModeAerosol,
     TwoTermHenyeyGreenstein,
 )
 
@@ -219,7 +220,10 @@ PHASES = {
     "cornette-shanks": lambda: CornetteShanks(0.7),
     "cornette-shanks 0": lambda: CornetteShanks(0.0),
     "bullrich": Tabulated.bullrich,
+    "two modes": lambda: TwoModeAerosol(0.2).phase,
 }
+# tables: the first has kinks that the 256 nodes of its norm step over, the second is cubic in pieces
+ROUGH = {"bullrich": 1e-4, "two modes": 1e-7}
 WAVELENGTH = np.array([420.0, 550.0, 910.0])
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3000)
 
@@ -239,8 +243,7 @@ def phase(request):
 def test_phase_functions_are_normalised_and_positive(phase):
     name, angle, values, moments = phase
     total = 2.0 * np.pi * 0.5 * np.pi * (WEIGHTS * np.sin(angle)) @ values
-    # the table has kinks that the 256 nodes of its norm step over
-    np.testing.assert_allclose(total, 1.0, rtol=1e-4 if name == "bullrich" else 1e-10)
+    np.testing.assert_allclose(total, 1.0, rtol=ROUGH.get(name, 1e-10))
     assert values.min() > 0.0
     np.testing.assert_allclose(moments[0], 1.0, rtol=1e-12)
 
@@ -249,12 +252,12 @@ def test_moments_are_the_integrals_of_the_values(phase):
     name, angle, values, moments = phase
     series = np.stack([np.polynomial.legendre.legval(np.cos(angle), np.eye(40)[k]) for k in range(40)])
     integrals = np.pi**2 * (series * WEIGHTS * np.sin(angle)) @ values
-    np.testing.assert_allclose(moments + 0.0 * integrals, integrals, atol=2e-4 if name == "bullrich" else 1e-10)
+    np.testing.assert_allclose(moments + 0.0 * integrals, integrals, atol=2.0 * ROUGH.get(name, 5e-11))
 
 
 def test_the_legendre_series_gives_the_value_back(phase):
     name, angle, values, _ = phase
-    if name == "bullrich":
+    if name in ROUGH:
         pytest.skip("a table with kinks has a slowly falling series")
     with jax.enable_x64(True):
         moments = np.asarray(PHASES[name]().moments(200, jnp.asarray(WAVELENGTH)))

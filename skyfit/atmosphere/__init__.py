@@ -6,6 +6,7 @@ from .atmosphere import (
 from .constituent import AbstractConstituent as AbstractConstituent, Prescribed as Prescribed
 from .droplets import droplet_phase as droplet_phase, Droplets as Droplets
 from .hoffman import hoffman_haze as hoffman_haze, HOFFMAN_WAVELENGTHS as HOFFMAN_WAVELENGTHS
+from .mie import TwoModeAerosol as TwoModeAerosol, TwoModePhase as TwoModePhase
 from .ozone import Ozone as Ozone
 from .phase import (
     AbstractPhase as AbstractPhase,

@@ -11,4 +11,4 @@ from .interpolation import (
 )
 from .legendre import associated_legendre as associated_legendre, spin_legendre as spin_legendre
 from .quadrature import gauss_legendre as gauss_legendre
-from .tables import data_path as data_path, read_table as read_table
+from .tables import data_path as data_path, read_arrays as read_arrays, read_table as read_table

@@ -3,6 +3,7 @@
 import csv
 from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -34,6 +35,21 @@ def read_table(name: str) -> dict[str, np.ndarray]:
     cell that is no number, or a row of another length, is a `ValueError` with file, row, column.
     """
     return dict(_columns(name))
+
+
+@lru_cache(maxsize=8)
+def read_arrays(name: str) -> MappingProxyType[str, np.ndarray]:
+    """Arrays of a shipped NPZ file, read once and kept.
+
+    **Arguments**: `name`, file name below the data folder.
+    **Returns**: array name to array, both read-only.
+    **Valid**: files without pickled objects; otherwise `ValueError`.
+    """
+    with np.load(data_path(name), allow_pickle=False) as file:
+        arrays = {key: file[key] for key in file.files}
+    for values in arrays.values():
+        values.setflags(write=False)
+    return MappingProxyType(arrays)
 
 
 @lru_cache(maxsize=64)
