@@ -1,6 +1,7 @@
 from .inversion import (
     DEFAULT_FREE as DEFAULT_FREE,
     invert as invert,
+    PARTICLE_FREE as PARTICLE_FREE,
     predict as predict,
     simulate as simulate,
     SLOW as SLOW,

@@ -14,10 +14,10 @@ from .parameters import PARAMETERS, SkyModel, values_of, with_values
 from .problem import observe, Problem
 
 
-# hazes that are tried: optical depths from clean to thick, exponents of coarse and fine particles, phase functions by
+# hazes that are tried: optical depths from clean to thick, coarse and fine particles, phase functions by
 # the names of their parameters: of broad lobes, and of a narrow one over a broad one
 _DEPTHS = (0.03, 0.08, 0.2, 0.5, 1.2)
-_EXPONENTS = (0.4, 1.4)
+_KINDS = {"angstrom_exponent": (0.4, 1.4), "fine_fraction": (0.35, 0.85)}
 _LOBES = ({}, {"asymmetry": 0.85, "asymmetry_second": 0.45, "forward_fraction": 0.4},
           {"asymmetry": 0.93, "asymmetry_second": 0.55, "forward_fraction": 0.25})  # fmt: skip
 # what all orders of scattering make of the light of the first one, at each wavelength
@@ -35,10 +35,10 @@ def first_guess(geometry: Geometry, model: SkyModel, free: tuple[str, ...], prob
     depth = next((n for n in ("aerosol_optical_depth", "turbidity") if n in free), None)
     if depth is None:
         return values
-    exponents = [{"angstrom_exponent": v} for v in _EXPONENTS] if "angstrom_exponent" in free else [{}]
+    kinds = [{n: v} for n, values in _KINDS.items() if n in free for v in values] or [{}]
     lobes = _LOBES if set(_LOBES[-1]) <= set(free) else ({},)
     depths = [{depth: float(PARAMETERS[depth].from_leaf(v))} for v in _DEPTHS]
-    rows = np.array([list((first | a | b | c).values()) for a, b, c in itertools.product(depths, exponents, lobes)])
+    rows = np.array([list((first | a | b | c).values()) for a, b, c in itertools.product(depths, kinds, lobes)])
     costs = np.asarray(_costs(SingleScattering.draft(geometry), model, free, as_float(rows), problem), float)
     best = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
     some = np.asarray(np.any(np.isfinite(costs), axis=0))

@@ -14,6 +14,7 @@ from ..atmosphere import (
     HenyeyGreenstein,
     optical_depth_to_turbidity,
     turbidity_to_optical_depth,
+    TwoModeAerosol,
     TwoTermHenyeyGreenstein,
 )
 from ..scene import as_float, Scene
@@ -136,6 +137,14 @@ _LIST = (
     Parameter("asymmetry_second", "1", -0.9, 0.95, lambda m: m.atmosphere.aerosol.phase.asymmetry_second),
     Parameter("forward_fraction", "1", 0.0, 1.0, lambda m: m.atmosphere.aerosol.phase.forward_fraction),
     Parameter("forward_fraction_slope", "1", -0.5, 0.5, lambda m: m.atmosphere.aerosol.phase.forward_fraction_slope),
+    Parameter("haze_polarisation", "1", 0.0, 1.0, lambda m: m.atmosphere.aerosol.phase.polarisation),
+    Parameter("fine_fraction", "1", 0.0, 1.0, lambda m: m.atmosphere.aerosol.fine_fraction),
+    Parameter("fine_radius", "um", 0.05, 0.5, lambda m: m.atmosphere.aerosol.fine_radius, True),
+    Parameter("coarse_radius", "um", 0.8, 6.0, lambda m: m.atmosphere.aerosol.coarse_radius, True),
+    Parameter("fine_width", "1", 0.3, 0.8, lambda m: m.atmosphere.aerosol.fine_width),
+    Parameter("coarse_width", "1", 0.3, 0.9, lambda m: m.atmosphere.aerosol.coarse_width),
+    Parameter("refractive_index", "1", 1.33, 1.6, lambda m: m.atmosphere.aerosol.refractive_index),
+    Parameter("absorption_index", "1", 1e-4, 0.1, lambda m: m.atmosphere.aerosol.absorption_index, True),
     Parameter(
         "aerosol_scale_height",
         "m",
@@ -171,18 +180,29 @@ _LIST = (
 )
 PARAMETERS: dict[str, Parameter] = {p.name: p for p in _LIST}
 _TWO_TERM = ("asymmetry_second", "forward_fraction", "forward_fraction_slope")
+_PARTICLES = (
+    "fine_fraction", "fine_radius", "coarse_radius", "fine_width", "coarse_width", "refractive_index",
+    "absorption_index",
+)  # fmt: skip
+
+
+# of the haze where a fit starts
+_DEPTH = 0.15
 
 
 def start_model(free: tuple[str, ...], pressure: float) -> SkyModel:
     """The model a fit starts from: the defaults of `Atmosphere.from_optical_depth`, optical depth 0.15.
 
-    The phase function has two lobes if a second one is to be fitted.
+    The phase function has two lobes if a second one is to be fitted; the haze is one of spheres in two modes of size,
+    whose optics follow, if anything of these is.
 
     **Arguments:** names that are free; `pressure` of the station, Pa. **Returns:** a `SkyModel`.
     """
     two_terms = any(name in free for name in _TWO_TERM)
     phase = TwoTermHenyeyGreenstein(0.75, 0.1, 0.8) if two_terms else HenyeyGreenstein(0.7)
-    model = SkyModel(Atmosphere.from_optical_depth(0.15, phase=phase))
+    model = SkyModel(Atmosphere.from_optical_depth(_DEPTH, phase=phase))
+    if any(name in free for name in _PARTICLES):
+        model = eqx.tree_at(lambda m: m.atmosphere.aerosol, model, TwoModeAerosol(optical_depth=_DEPTH, fine_fraction=0.7))
     return eqx.tree_at(lambda m: m.atmosphere.rayleigh.pressure, model, as_float(pressure))
 
 

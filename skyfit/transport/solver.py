@@ -31,8 +31,8 @@ class Stokes(NamedTuple):
     r"""Linearly polarised skylight, W m^-2 sr^-1 nm^-1, `[direction, wavelength]` each.
 
     `radiance` I; `q` is positive where light swings in the vertical plane through the view, `u` where it swings at 45
-    degrees to it, from the zenith toward increasing azimuth. V is neglected: air makes none, haze makes it of what air
-    has polarised, a thousandth of I at most.
+    degrees to it, from up toward smaller azimuths: to the left. V is neglected: air makes none, and what haze makes of
+    light that air has polarised is at most some thousandths of I (its effect on I about 1e-5).
     """
 
     radiance: Float[Array, "direction wavelength"]
@@ -47,7 +47,7 @@ class Stokes(NamedTuple):
 
     @property
     def angle(self) -> Float[Array, "direction wavelength"]:
-        """The angle of polarisation from the vertical plane, in (-pi/2, pi/2], rad; 0 where nothing is polarised."""
+        """The angle of polarisation from up to the left, in (-pi/2, pi/2], rad; 0 where nothing is polarised."""
         some = self.q**2 + self.u**2 > 0.0
         return 0.5 * jnp.arctan2(jnp.where(some, self.u, 0.0), jnp.where(some, self.q, 1.0))
 
