@@ -157,13 +157,14 @@ def sasktran2_stokes(
     ground = np.asarray(atmosphere.ground.reflectance(wavelength), float)
     air["ground"] = sk.constituent.LambertianSurface(ground)
     views = sk.ViewingGeometry()
-    for zenith, azimuth in zip(np.radians(zenith_deg), np.radians(azimuth_deg), strict=True):
+    # in the zenith its frame is the sun's meridian for light scattered once, the azimuth's for the rest
+    overhead = np.asarray(zenith_deg) == 0.0
+    for zenith, azimuth in zip(np.radians(zenith_deg), np.where(overhead, 0.0, np.radians(azimuth_deg)), strict=True):
         views.add_ray(sk.SolarAnglesObserverLocation(cos_sun, float(azimuth), float(np.cos(zenith)), 0.0))
     result = sk.Engine(config, model, views).calculate_radiance(air)
     stokes = result["radiance"].transpose("stokes", "los", "wavelength").to_numpy()
     if polarised:
-        # in the zenith its frame is the sun's meridian, whatever the azimuth
-        turn = 2.0 * np.where(np.asarray(zenith_deg) == 0.0, np.radians(azimuth_deg), 0.0)[:, None]
+        turn = 2.0 * np.where(overhead, np.radians(azimuth_deg), 0.0)[:, None]
         q, u = stokes[1], stokes[2]
         stokes = np.stack([stokes[0], np.cos(turn) * q + np.sin(turn) * u, np.cos(turn) * u - np.sin(turn) * q])
     return stokes
