@@ -12,6 +12,7 @@ import numpy as np
 
 import skyfit
 from skyfit.atmosphere import HenyeyGreenstein, RayleighPhase, TwoTermHenyeyGreenstein
+from skyfit.atmosphere.phase import HAZE_POLARISATION
 from skyfit.atmosphere.rayleigh import bodhaine_optical_depth
 from skyfit.fit import SkyModel
 from skyfit.light import extraterrestrial_irradiance
@@ -68,12 +69,14 @@ class Truth:
     ozone: float = 300.0
     asymmetry_second: float = 0.0
     forward_fraction: float = 1.0
+    polarisation: float = HAZE_POLARISATION
 
     def atmosphere(self) -> skyfit.Atmosphere:
         """The same in skyfit."""
-        phase = HenyeyGreenstein(self.asymmetry)
+        phase = HenyeyGreenstein(self.asymmetry, self.polarisation)
         if self.forward_fraction < 1.0:
-            phase = TwoTermHenyeyGreenstein(self.asymmetry, self.asymmetry_second, self.forward_fraction)
+            lobes = self.asymmetry, self.asymmetry_second, self.forward_fraction
+            phase = TwoTermHenyeyGreenstein(*lobes, polarisation=self.polarisation)
         haze = self.aerosol_optical_depth, self.angstrom_exponent, self.single_scattering_albedo
         return skyfit.Atmosphere(
             skyfit.Rayleigh(self.pressure),

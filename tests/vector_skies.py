@@ -6,8 +6,14 @@ azimuth over the sine (to the left, for who looks at the horizon), so that (e_th
 Q = |E_theta|^2 - |E_phi|^2, U = 2 Re(E_theta conj(E_phi)). `frame` is this in vectors, and all signs follow from it.
 
 Natraj's tables have minus skyfit's Q and minus its U, where their azimuth is the view's, clockwise from the sun's: both
-signs, because they are another choice of axes (they count what vibrates across the meridian as positive), so that
-no sign is left to the reader. `test_the_tables_have_the_signs_that_are_stated` says so by light scattered once.
+signs, for they count as positive what vibrates across the meridian, which is the same frame turned by a right angle.
+Light scattered once says so: at depth 0.02 it is within 4 % of the radiance of the tables, with any other choice of
+signs 190 % off; so does sasktran2, whose Q and U are skyfit's as they are (but see `greek_coefficients`).
+
+sasktran2 with 24 streams and 240 layers is within 6e-4 of the tables' radiance in I, Q and U (cosines of sun and view
+from 0.1, all depths and albedos tried); 120 layers: 1e-3, and 1.6e-3 at cosine 0.1 and depth 1; 16 streams, 60 layers:
+5.6e-3. Air has to lie low for it (1 km): the Earth that stands for a flat one is 1e-3 round at cosine 0.1 for 8 km,
+and a larger one costs digits (5e-4 at ten times the radius, 7 % at a hundred times).
 """
 
 from functools import cache
@@ -46,7 +52,7 @@ def _rows(path) -> np.ndarray:
 
 
 def natraj_views(least_cosine: float = 0.1) -> tuple[np.ndarray, np.ndarray, slice]:
-    """Zenith angles and azimuths from the sun's, degrees, `[view cosine x azimuth]`, and which of `COSINES` they are."""
+    """Zenith angles and azimuths from the sun's, degrees, `[view cosine x azimuth]`, and their place in `COSINES`."""
     kept = slice(sum(c < least_cosine for c in COSINES), None)
     zenith, azimuth = np.meshgrid(np.degrees(np.arccos(COSINES[kept])), AZIMUTHS_DEG, indexing="ij")
     return zenith.ravel(), azimuth.ravel(), kept
@@ -84,11 +90,10 @@ def scattered_once(sun_zenith_deg, zenith_deg, azimuth_deg, depth, phase_functio
     x = 1.0 / sun - 1.0 / view
     safe = np.where(np.abs(x) < 1e-9, 1.0, x)
     layer = np.exp(-depth / sun) * np.where(np.abs(x) < 1e-9, depth, np.expm1(depth * safe) / safe) / view
-    intensity = phase_function(cosine) * layer
     # F12 is of what vibrates in the plane, and `normal` is across it
-    q = -polarisation(cosine) * (theta**2 - phi**2)
-    u = -polarisation(cosine) * 2.0 * theta * phi
-    return intensity * np.stack([np.ones_like(q), q, u])
+    across_plane = -polarisation(cosine)
+    turned = [np.ones_like(cosine), across_plane * (theta**2 - phi**2), across_plane * 2.0 * theta * phi]
+    return phase_function(cosine) * layer * np.stack(turned)
 
 
 def air_once(cosine):
