@@ -135,7 +135,7 @@ def test_air_has_the_tables(x64, shared, preset, limit):
         assert np.all(errors < [limit, 5e-3, 5e-3]), (albedo, sun, errors)
 
 
-@pytest.mark.parametrize("preset, limit", [("normal", 4e-3), slow("fine", 2e-3)])
+@pytest.mark.parametrize("preset, limit", [("normal", 3e-3), slow("fine", 1e-3)])
 @pytest.mark.parametrize(
     "truth",
     [
@@ -148,11 +148,11 @@ def test_air_has_the_tables(x64, shared, preset, limit):
 def test_haze_has_the_stokes_vectors_of_sasktran2(x64, preset, limit, truth):
     pytest.importorskip("sasktran2", reason="sasktran2 is absent")
     zenith, azimuth = directions(truth.sun_zenith_deg)
-    # by default few wavelengths
-    colours = WAVELENGTH_NM[:: 1 if truth != Truth() else 3]
+    # the default haze needs few streams, and few wavelengths do
+    streams, colours = (16, WAVELENGTH_NM[::3]) if truth == Truth() else (24, WAVELENGTH_NM)
     sky = truth.atmosphere(), truth.sun_zenith_deg, zenith, azimuth, colours
     # within 2e-4 of 32 streams and 240 layers
-    expected = sasktran2_stokes(*sky, polarised=True, streams=16, layers=120)
+    expected = sasktran2_stokes(*sky, polarised=True, streams=streams)
     assert np.all(off(stokes_of(solver_of(preset), *sky), expected) < limit)
 
 
@@ -222,10 +222,9 @@ def test_no_light_is_more_than_polarised(geometry, air, haze, asymmetry, ground)
     zenith, azimuth = np.meshgrid([0.0, 25.0, 50.0, 75.0, 85.0, 90.0], [0.0, 60.0, 120.0, 180.0])
     for sun in (0.0, 40.0, 80.0):
         found = few_stokes(geometry, haze_over_air(air, haze, asymmetry, ground=ground), sun, zenith, azimuth)
-        assert (
-            np.all(np.isfinite(found.radiance)) and np.all(found.radiance >= 0.0) and np.all(np.isfinite(found.angle))
-        )
-        assert np.all((found.degree >= 0.0) & (found.degree <= 1.0))
+        assert np.all(np.isfinite(found.radiance)) and np.all(found.radiance >= 0.0)
+        assert np.all(np.isfinite(found.angle))
+        assert np.all((found.degree >= 0.0) & (found.degree <= 1.0 + 1e-6))
 
 
 @pytest.mark.parametrize("phase, values", [(RayleighPhase, (1.0,)), (HenyeyGreenstein, (0.7, 0.0))])
