@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import jax
 import numpy as np
-from measured_sky import BINS, COLOURS
+from measured_sky import COLOURS
 from recovery import foreign, FREE, HAZY, NOISE
 from tiers import HERE, made_with
 
@@ -26,6 +26,8 @@ from skyfit.scene import angle_between
 SEED, HAZE, SUNS_DEG = 7, 0.1, (30.0, 60.0, 75.0)
 SCALAR = skyfit.OrdersOfScattering.normal("flat")
 POLARISED = replace(SCALAR, polarised=True)
+# degrees from the sun
+BINS = np.arange(0.0, 166.0, 15.0)
 # stated for the model: the default stands for what a scalar one leaves out, the other for two solvers of one physics
 ALLOWED, SAME_PHYSICS = skyfit.Measurement(), skyfit.Measurement(model_error=0.0005)
 FITS = {
@@ -42,6 +44,8 @@ def by_angle(ratio: np.ndarray, angle_deg: np.ndarray) -> dict:
     table = {}
     for low, high in zip(BINS[:-1], BINS[1:], strict=True):
         inside = 100.0 * ratio[(angle_deg >= low) & (angle_deg < high)]
+        if not inside.size:
+            continue
         table[f"{low:.0f}-{high:.0f}"] = {
             str(colour): {"median": float(np.median(c)), "min": float(np.min(c)), "max": float(np.max(c))}
             for colour, c in zip(COLOURS, inside.T, strict=True)
