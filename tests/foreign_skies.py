@@ -7,11 +7,13 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import jax.numpy as jnp
 import numpy as np
 
 import skyfit
-from skyfit.atmosphere import HAZE_SCALE_HEIGHT, HenyeyGreenstein, RayleighPhase, TwoTermHenyeyGreenstein
-from skyfit.atmosphere.rayleigh import AIR_SCALE_HEIGHT, bodhaine_optical_depth
+from skyfit.atmosphere import HenyeyGreenstein, RayleighPhase, TwoTermHenyeyGreenstein
+from skyfit.atmosphere.phase import HAZE_POLARISATION
+from skyfit.atmosphere.rayleigh import bodhaine_optical_depth
 from skyfit.fit import SkyModel
 from skyfit.light import extraterrestrial_irradiance
 
@@ -67,12 +69,14 @@ class Truth:
     ozone: float = 300.0
     asymmetry_second: float = 0.0
     forward_fraction: float = 1.0
+    polarisation: float = HAZE_POLARISATION
 
     def atmosphere(self) -> skyfit.Atmosphere:
         """The same in skyfit."""
-        phase = HenyeyGreenstein(self.asymmetry)
+        phase = HenyeyGreenstein(self.asymmetry, self.polarisation)
         if self.forward_fraction < 1.0:
-            phase = TwoTermHenyeyGreenstein(self.asymmetry, self.asymmetry_second, self.forward_fraction)
+            lobes = self.asymmetry, self.asymmetry_second, self.forward_fraction
+            phase = TwoTermHenyeyGreenstein(*lobes, polarisation=self.polarisation)
         haze = self.aerosol_optical_depth, self.angstrom_exponent, self.single_scattering_albedo
         return skyfit.Atmosphere(
             skyfit.Rayleigh(self.pressure),
@@ -103,61 +107,85 @@ def directions(sun_zenith_deg: float) -> tuple[np.ndarray, np.ndarray]:
     return zenith, azimuth
 
 
-def sasktran2_radiance(
-    truth: Truth, geometry: str = "flat", streams: int = 24, layers: int = 120, sun_positions: int = 3
-) -> np.ndarray:
-    """Scalar sky radiance by sasktran2 per unit irradiance, on `directions` and `WAVELENGTH_NM`.
+def sasktran2_radiance(truth: Truth, **settings) -> np.ndarray:
+    """Sky radiance by `sasktran2_stokes` on `directions` and `WAVELENGTH_NM`, scalar unless it is `polarised`."""
+    zenith, azimuth = directions(truth.sun_zenith_deg)
+    return sasktran2_stokes(truth.atmosphere(), truth.sun_zenith_deg, zenith, azimuth, WAVELENGTH_NM, **settings)[0]
 
-    Single scattering is exact, multiple scattering by discrete ordinates (flat layers under a spherical beam too).
-    Flat, it is within 0.03 % (median 0.005 %) of 48 streams and 400 layers, and of nanodisort with 32 streams.
+
+def sasktran2_stokes(
+    atmosphere: skyfit.Atmosphere,
+    sun_zenith_deg: float,
+    zenith_deg,
+    azimuth_deg,
+    wavelength_nm,
+    polarised: bool = False,
+    geometry: str = "flat",
+    streams: int = 24,
+    layers: int = 120,
+    sun_positions: int = 3,
+) -> np.ndarray:
+    """I, Q and U by sasktran2 per unit irradiance, `[component, direction, wavelength]`; I alone if not `polarised`.
+
+    Azimuths from the sun's. Optical depths, profiles and the moments of phase functions and scattering matrices are
+    skyfit's. Single scattering is exact, multiple scattering by discrete ordinates (flat layers under a spherical beam
+    too). Scalar and flat, it is within 0.03 % (median 0.005 %) of 48 streams and 400 layers, and of nanodisort with 32
+    streams; polarised see `vector_skies.py`. Its Q and U are skyfit's.
     """
     import sasktran2 as sk
 
-    atmosphere, moments = truth.atmosphere(), 128
+    moments, wavelength = 128, jnp.asarray(wavelength_nm, float)
     config = sk.Config()
     # one: the tests run in two processes
     config.num_threads, config.num_streams, config.num_singlescatter_moments = 1, streams, moments
+    config.num_stokes = 3 if polarised else 1
     config.single_scatter_source = sk.SingleScatterSource.Exact
     config.multiple_scatter_source = sk.MultipleScatterSource.DiscreteOrdinates
     config.delta_m_scaling = True
     config.num_sza = 1 if geometry == "flat" else sun_positions
 
     height = FINEST * np.expm1(np.linspace(0.0, np.log1p(TOP / FINEST), layers + 1))
-    cos_sun = float(np.cos(np.radians(truth.sun_zenith_deg)))
+    cos_sun = float(np.cos(np.radians(sun_zenith_deg)))
     model = sk.Geometry1D(cos_sun, 0.0, FLAT_RADIUS if geometry == "flat" else EARTH_RADIUS, height)
-    air = sk.Atmosphere(model, config, numwavel=WAVELENGTH_NM.size, calculate_derivatives=False)
-    # minus the derivative of the column above of Lacis & Hansen 1974: a bump at 20 km, 5 km wide
-    ozone_shape = np.cosh((height - 20.0e3) / 10.0e3) ** -2
-    for name, constituent, shape, albedo in (
-        ("air", atmosphere.rayleigh, np.exp(-height / AIR_SCALE_HEIGHT), 1.0),
-        ("haze", atmosphere.aerosol, np.exp(-height / HAZE_SCALE_HEIGHT), truth.single_scattering_albedo),
-        ("ozone", atmosphere.ozone, ozone_shape, 0.0),
-    ):
-        depth = np.asarray(constituent.extinction(WAVELENGTH_NM), float)
-        extinction = (shape / np.trapezoid(shape, height))[:, None] * depth[None]
+    air = sk.Atmosphere(model, config, numwavel=wavelength.size, calculate_derivatives=False)
+    for place, constituent in enumerate(atmosphere.constituents):
+        shape = np.asarray(constituent.profile.density(jnp.asarray(height, float)), float)
+        extinction = np.outer(shape / np.trapezoid(shape, height), constituent.extinction(wavelength))
+        albedo = np.broadcast_to(np.asarray(constituent.albedo(wavelength), float), extinction.shape).copy()
         legendre = None
-        if name != "ozone":
-            each = (2.0 * np.arange(moments) + 1.0) * moments_of(truth, name, moments)
-            legendre = np.tile(each[:, None, None], (1, *extinction.shape))
-        air[name] = sk.constituent.Manual(extinction, np.full_like(extinction, albedo), legendre)
-    air["ground"] = sk.constituent.LambertianSurface(truth.ground_albedo)
+        if constituent.phase is not None:
+            greek = greek_coefficients(constituent.phase, moments, wavelength, polarised)
+            legendre = np.broadcast_to(greek[:, None], (len(greek), *extinction.shape)).copy()
+        air[f"constituent {place}"] = sk.constituent.Manual(extinction, albedo, legendre)
+    ground = np.asarray(atmosphere.ground.reflectance(wavelength), float)
+    air["ground"] = sk.constituent.LambertianSurface(ground)
     views = sk.ViewingGeometry()
-    for zenith, azimuth in zip(*np.radians(directions(truth.sun_zenith_deg)), strict=True):
+    # in the zenith its frame is the sun's meridian for light scattered once, the azimuth's for the rest
+    overhead = np.asarray(zenith_deg) == 0.0
+    for zenith, azimuth in zip(np.radians(zenith_deg), np.where(overhead, 0.0, np.radians(azimuth_deg)), strict=True):
         views.add_ray(sk.SolarAnglesObserverLocation(cos_sun, float(azimuth), float(np.cos(zenith)), 0.0))
     result = sk.Engine(config, model, views).calculate_radiance(air)
-    return result["radiance"].transpose("los", "wavelength", "stokes").to_numpy()[:, :, 0]
+    stokes = result["radiance"].transpose("stokes", "los", "wavelength").to_numpy()
+    if polarised:
+        turn = 2.0 * np.where(overhead, np.radians(azimuth_deg), 0.0)[:, None]
+        q, u = stokes[1], stokes[2]
+        stokes = np.stack([stokes[0], np.cos(turn) * q + np.sin(turn) * u, np.cos(turn) * u - np.sin(turn) * q])
+    return stokes
 
 
-def moments_of(truth: Truth, name: str, count: int) -> np.ndarray:
-    """Legendre moments of the phase function of "air" (skyfit's depolarisation) or "haze", the first 1."""
-    degree = np.arange(count)
-    if name == "air":
-        depolarization = float(RayleighPhase().depolarization)
-        second = 0.2 * (1.0 - depolarization) / (2.0 + depolarization)
-        return np.where(degree == 0, 1.0, np.where(degree == 2, second, 0.0))
-    # 0^0 is 1
-    first, other = (float(g) ** degree for g in (truth.asymmetry, truth.asymmetry_second))
-    return truth.forward_fraction * first + (1.0 - truth.forward_fraction) * other
+def greek_coefficients(phase, count: int, wavelength, polarised: bool) -> np.ndarray:
+    """Expansion coefficients as sasktran2 stacks them: a1, a2, a3, b1 of degree 0, those of degree 1, ...; scalar, a1.
+
+    They are 2 l + 1 times beta, alpha, zeta and minus gamma: its functions of I and Q have opposite signs.
+    """
+    beta = np.asarray(phase.moments(count, wavelength), float)
+    each = beta[None]
+    if polarised:
+        alpha, gamma, zeta = np.asarray(phase.matrix_moments(count, wavelength), float)
+        shape = count, max(beta.shape[1], alpha.shape[1])
+        each = np.stack([np.broadcast_to(row, shape) for row in (beta, alpha, zeta, -gamma)])
+    scaled = (2.0 * np.arange(count) + 1.0)[None, :, None] * each
+    return scaled.transpose(1, 0, 2).reshape(-1, scaled.shape[-1])
 
 
 def sasktran2_sky(truth: Truth, noise: float = 0.01, **settings) -> skyfit.Sky:

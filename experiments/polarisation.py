@@ -1,0 +1,161 @@
+"""What leaving polarisation out costs: the radiance by angle from the sun, and the haze that a fit finds.
+
+    python experiments/polarisation.py [--skies 40] [--only PART] [--out FILE.json]
+
+`price`: a clear sky (haze 0.1) by the scalar solver over the same sky with polarisation, minus one, by skyfit and by
+sasktran2, and how far apart the two are in I, Q and U. `recovery`: sasktran2's polarised skies with 1 % noise inverted
+by the scalar and the polarised solver; the haze has the polarisation that the fit assumes, and in one part another.
+V is left out by both: air makes none of it, and of haze it takes four scatterings (air, F34, F34, F12) to be seen in I.
+"""
+
+import argparse
+import json
+import pathlib
+from dataclasses import replace
+
+import jax
+import numpy as np
+from measured_sky import COLOURS
+from recovery import foreign, FREE, HAZY, NOISE
+from tiers import HERE, made_with
+
+import skyfit
+from skyfit.scene import angle_between
+
+
+SEED, HAZE, SUNS_DEG = 7, 0.1, (30.0, 60.0, 75.0)
+SCALAR = skyfit.OrdersOfScattering.normal("flat")
+POLARISED = replace(SCALAR, polarised=True)
+# degrees from the sun
+BINS = np.arange(0.0, 166.0, 15.0)
+# stated for the model: the default stands for what a scalar one leaves out, the other for two solvers of one physics
+ALLOWED, SAME_PHYSICS = skyfit.Measurement(), skyfit.Measurement(model_error=0.0005)
+FITS = {
+    "scalar": (SCALAR, ALLOWED),
+    "scalar, no model error allowed for": (SCALAR, SAME_PHYSICS),
+    "polarised": (POLARISED, SAME_PHYSICS),
+}
+# degree at 90 degrees from the sun of the haze that is not as assumed
+OTHER_HAZE = 0.6
+
+
+def by_angle(ratio: np.ndarray, angle_deg: np.ndarray) -> dict:
+    """Median and extremes, per cent, of each colour and bin of the angle from the sun."""
+    table = {}
+    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+        inside = 100.0 * ratio[(angle_deg >= low) & (angle_deg < high)]
+        if not inside.size:
+            continue
+        table[f"{low:.0f}-{high:.0f}"] = {
+            str(colour): {"median": float(np.median(c)), "min": float(np.min(c)), "max": float(np.max(c))}
+            for colour, c in zip(COLOURS, inside.T, strict=True)
+        }
+    return table
+
+
+def price(sun_deg: float) -> dict:
+    """One clear sky by both solvers of skyfit and of sasktran2."""
+    dome = skyfit.hemisphere(300, np.radians(80.0))
+    zenith, azimuth = (np.asarray(v, float) for v in (dome.zenith, dome.azimuth))
+    angle = np.degrees(np.asarray(angle_between(zenith, np.radians(sun_deg), azimuth), float))
+    # sasktran2 is coarse where views are neither in the zenith nor 15 degrees from it (make_sample_sky.py)
+    kept = (zenith >= np.radians(15.0)) & (angle >= foreign.CLEAR_OF_SUN_DEG)
+    zenith, azimuth, angle = zenith[kept], azimuth[kept], angle[kept]
+    colours = np.array(COLOURS, float)
+    atmosphere = skyfit.Atmosphere.from_optical_depth(HAZE)
+    view = skyfit.Directions(zenith, azimuth)
+    scene = skyfit.Scene.from_degrees(sun_deg, view, colours, irradiance="unit")
+    scalar = np.asarray(SCALAR.radiance(atmosphere, scene))
+    vector = POLARISED.stokes(atmosphere, scene)
+    ours = np.stack([np.asarray(part) for part in (vector.radiance, vector.q, vector.u)])
+    sky = atmosphere, sun_deg, np.degrees(zenith), np.degrees(azimuth), colours
+    theirs, plain = (foreign.sasktran2_stokes(*sky, polarised=p) for p in (True, False))
+    off = np.abs(ours - theirs) / theirs[:1]
+    return {
+        "directions": int(zenith.size),
+        "scalar over polarised, per cent": {
+            "skyfit": by_angle(scalar / ours[0] - 1.0, angle),
+            "sasktran2": by_angle(plain[0] / theirs[0] - 1.0, angle),
+        },
+        "largest difference from sasktran2, over its I": {
+            "I, scalar from scalar": float(np.max(np.abs(scalar / plain[0] - 1.0))),
+            "I, scalar from polarised": float(np.max(np.abs(scalar / theirs[0] - 1.0))),
+            **{name: float(np.max(component)) for name, component in zip(("I", "Q", "U"), off, strict=True)},
+        },
+        "largest degree of polarisation": float(np.max(np.asarray(vector.degree))),
+    }
+
+
+def recovery(truths) -> dict:
+    """Errors of the parameters of each kind of fit to the same noisy polarised skies."""
+    skies = [
+        foreign.with_noise(foreign.sasktran2_sky(truth, NOISE, polarised=True), seed)
+        for seed, truth in enumerate(truths)
+    ]
+    hazy = np.array([truth.aerosol_optical_depth >= HAZY for truth in truths])
+    true = np.array([truth.values(FREE) for truth in truths])
+    record = {"skies": len(truths), "hazy skies": int(hazy.sum())}
+    for name, (solver, measurement) in FITS.items():
+        fits = [skyfit.invert(sky, FREE, solver, measurement=measurement) for sky in skies]
+        error = np.array([fit.values[0] for fit in fits]) - true
+        sigma = np.array([fit.sigma[0] for fit in fits])
+        record[name] = {
+            "successful": sum(fit.result == ("successful",) for fit in fits),
+            "median reduced chi square": float(np.median([fit.reduced_chi_square[0] for fit in fits])),
+        }
+        for p, parameter in enumerate(FREE):
+            # thin haze says little of its albedo
+            of = hazy if parameter == "single_scattering_albedo" else np.ones_like(hazy)
+            record[name][parameter] = {
+                "bias": float(np.mean(error[of, p])),
+                "rms": float(np.sqrt(np.mean(error[of, p] ** 2))),
+                "sigma median": float(np.median(sigma[of, p])),
+                "share within 2 sigma": float(np.mean(np.abs(error[of, p]) <= 2.0 * sigma[of, p])),
+            }
+    return record
+
+
+def show(part: str, record: dict) -> None:
+    print(f"\n{part}")
+    if part.startswith("price"):
+        for solver, table in record["scalar over polarised, per cent"].items():
+            print(f"  {solver:12s}" + "".join(f"{colour:>22d}" for colour in COLOURS))
+            for angles, row in table.items():
+                cells = (f"{c['median']:7.2f} ({c['min']:5.1f},{c['max']:5.1f})" for c in row.values())
+                print(f"  {angles:>12s}" + "".join(f"{cell:>22s}" for cell in cells))
+        for what, value in record["largest difference from sasktran2, over its I"].items():
+            print(f"  {what:28s}{value:10.5f}")
+        return
+    for name in FITS:
+        row = record[name]
+        print(f"  {name}: {row['successful']} of {record['skies']}, chi2 {row['median reduced chi square']:.2f}")
+        for parameter in FREE:
+            cells = row[parameter]
+            print(f"    {parameter:28s}" + "".join(f"  {key} {value:9.5f}" for key, value in cells.items()))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--skies", type=int, default=40)
+    parser.add_argument("--only", default="", help="the parts to make anew, with semicolons")
+    parser.add_argument("--out", type=pathlib.Path, default=HERE / "results" / "polarisation.json")
+    arguments = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    record = json.loads(arguments.out.read_text()) if arguments.out.exists() else {}
+    truths = foreign.random_truths(arguments.skies, SEED)
+    others = [replace(truth, polarisation=OTHER_HAZE) for truth in truths]
+    parts = {f"price, sun at {sun:.0f}": lambda sun=sun: price(sun) for sun in SUNS_DEG}
+    parts["recovery"] = lambda: recovery(truths)
+    parts[f"recovery, haze polarised by {OTHER_HAZE}, unknown to the fit"] = lambda: recovery(others)
+    for name, make in parts.items():
+        if arguments.only and name not in arguments.only.split(";"):
+            continue
+        record[name] = make()
+        show(name, record[name])
+        record["made_with"] = made_with(SEED, ("optimistix", "sasktran2")) | {"noise": NOISE, "haze": HAZE}
+        arguments.out.parent.mkdir(exist_ok=True)
+        arguments.out.write_text(json.dumps(record, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
