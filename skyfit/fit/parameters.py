@@ -202,7 +202,9 @@ def start_model(free: tuple[str, ...], pressure: float) -> SkyModel:
     phase = TwoTermHenyeyGreenstein(0.75, 0.1, 0.8) if two_terms else HenyeyGreenstein(0.7)
     model = SkyModel(Atmosphere.from_optical_depth(_DEPTH, phase=phase))
     if any(name in free for name in _PARTICLES):
-        model = eqx.tree_at(lambda m: m.atmosphere.aerosol, model, TwoModeAerosol(optical_depth=_DEPTH, fine_fraction=0.7))
+        # pyright takes the inherited, abstract `phase` for an argument
+        spheres = TwoModeAerosol(_DEPTH, fine_fraction=0.7)  # pyright: ignore[reportCallIssue]
+        model = eqx.tree_at(lambda m: m.atmosphere.aerosol, model, spheres)
     return eqx.tree_at(lambda m: m.atmosphere.rayleigh.pressure, model, as_float(pressure))
 
 
