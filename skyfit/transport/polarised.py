@@ -82,7 +82,7 @@ def polarise(layers: Layers, moments, resolution: Resolution, modes: int) -> Pol
         difference, even, odd = field
         return jnp.stack([beta * difference + gamma * even, gamma * difference + alpha * even, zeta * odd])
 
-    nothing = jnp.zeros_like(alpha + jnp.zeros((modes, 1, 1), dtype))
+    nothing = jnp.zeros((count, modes, *alpha.shape[2:]), dtype)
     sun = associated_legendre(layers.sun_cosine, layers.sun_sine, modes, count)
     mode_weight = jnp.asarray(np.where(np.arange(modes) == 0, 1.0, 2.0) / (4.0 * np.pi), dtype)
     beam = jnp.stack([nothing, gamma * (sun * mode_weight[None])[..., None, None], nothing])
@@ -113,8 +113,12 @@ def polarise(layers: Layers, moments, resolution: Resolution, modes: int) -> Pol
 def _tail(before, last):
     """What the orders after the last one sum up to, if each is the same share of the one before."""
     axes = (1, 2, 3)
-    size = jnp.sum(before**2, axis=axes)
-    share = jnp.clip(jnp.sum(before * last, axis=axes) / jnp.where(size > 0.0, size, 1.0), 0.0, 0.95)
+    # of the size of one, or the squares of faint light vanish
+    peak = jax.lax.stop_gradient(jnp.max(jnp.abs(before), axis=axes))
+    unit = (1.0 / jnp.where(peak > 0.0, peak, 1.0))[:, None, None, None]
+    size = jnp.sum((unit * before) ** 2, axis=axes)
+    share = jnp.sum((unit * before) * (unit * last), axis=axes) / jnp.where(size > 0.0, size, 1.0)
+    share = jnp.clip(share, 0.0, 0.95)
     return (share / (1.0 - share))[:, None, None, None] * last
 
 
