@@ -70,7 +70,7 @@ class Few(NamedTuple):
 class Scaled(NamedTuple):
     """Optics as the streams see them; moments of scatterers with the factor 2 l + 1.
 
-    `matrix`: alpha, gamma, zeta of few streams, None where polarisation is left out.
+    `matrix`: alpha, gamma, zeta, None where polarisation is left out.
     """
 
     extinction: Float[Array, "constituent wavelength"]
@@ -106,7 +106,6 @@ def scaled_optics(
     extinction, scattering, moments, matrices = [], [], [], []
     degree = jnp.asarray(2.0 * np.arange(count) + 1.0, wavelength_nm.dtype)
 
-    few = min(resolution.few().moments, count)
     # the forward peak keeps the polarisation
     kept = jnp.asarray([1.0, 0.0, 1.0], wavelength_nm.dtype)[:, None, None]
     for i, c in enumerate(constituents):
@@ -119,10 +118,10 @@ def scaled_optics(
         scattering.append((1.0 - peak) * depth.scattering[i])
         moments.append((every[:count] - peak[None]) / (1.0 - peak[None]))
         if resolution.polarised:
-            matrix = c.phase.matrix_moments(few, wavelength_nm) - kept * peak[None, None]
+            matrix = c.phase.matrix_moments(count, wavelength_nm) - kept * peak[None, None]
             matrices.append(matrix / (1.0 - peak[None, None]))
     weighted = jnp.stack(moments, axis=1) * degree[:, None, None]
-    matrix = jnp.stack(matrices, axis=2) * degree[None, :few, None, None] if resolution.polarised else None
+    matrix = jnp.stack(matrices, axis=2) * degree[None, :, None, None] if resolution.polarised else None
     return Scaled(jnp.stack(extinction), jnp.stack(scattering), weighted, matrix)
 
 

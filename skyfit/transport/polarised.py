@@ -45,10 +45,10 @@ def polarise(layers: Layers, moments, resolution: Resolution, modes: int) -> Pol
     **Source:** the expansion is Siewert's 1982 (Astron. Astrophys. 109, 195) with V neglected; I as a given source is
     ours. Orders as in `solve`; those after the last one are summed as a geometric series.
     """
-    few, matrix = resolution.few(), layers.matrix
+    few, matrix, every = resolution.few(), layers.matrix, modes
     assert matrix is not None
     cosine, weight = gauss_legendre(few.streams)
-    dtype, count, modes = layers.depth.dtype, matrix.shape[1], min(few.modes, modes)
+    dtype, count, modes = layers.depth.dtype, min(few.moments, matrix.shape[1]), min(few.modes, modes)
     both = jnp.asarray(np.stack([cosine, -cosine]), dtype)
     sine = jnp.asarray(np.stack([np.sqrt(1.0 - cosine**2)] * 2), dtype)
     plain = associated_legendre(both, sine, modes, count)
@@ -56,7 +56,7 @@ def polarise(layers: Layers, moments, resolution: Resolution, modes: int) -> Pol
     # of E and B on Q and U
     spin = jnp.stack([jnp.stack([r, t]), jnp.stack([t, r])])
     half_weight = jnp.asarray(0.5 * weight, dtype)
-    alpha, gamma, zeta = matrix[:, :, None]
+    alpha, gamma, zeta = matrix[:, :count, None]
     beta = layers.moments[:count, None]
     flux_weight = jnp.asarray(2.0 * np.pi * weight * cosine, dtype)
     sweeps = sweeps_through(layers.height, layers.depth, both[0], resolution.geometry)
@@ -87,7 +87,7 @@ def polarise(layers: Layers, moments, resolution: Resolution, modes: int) -> Pol
     mode_weight = jnp.asarray(np.where(np.arange(modes) == 0, 1.0, 2.0) / (4.0 * np.pi), dtype)
     beam = jnp.stack([nothing, gamma * (sun * mode_weight[None])[..., None, None], nothing])
     total = sweep(*sweeps.of_beam(on_streams(beam) * layers.beam[None, :-1, None, None], layers.beam_depth))
-    scalar = moments[plain_place(count, modes)]
+    excited = matrix[1][:, None] * moments[plain_place(matrix.shape[1], every)]
     diffuse = diffusion(layers.depth, layers.moments[0], layers.moments[1] / 3.0, layers.ground_albedo)
 
     def order(carry, _):
@@ -102,12 +102,14 @@ def polarise(layers: Layers, moments, resolution: Resolution, modes: int) -> Pol
         ), None
 
     left = total[0]
-    start = left, left, total, jnp.stack([nothing, gamma * scalar, nothing])
+    start = left, left, total, jnp.stack([nothing, excited[:count, :modes], nothing])
     (before, left, (total, ground_flux, top_flux), _), _ = jax.lax.scan(order, start, None, length=few.orders)
     tail = _tail(before, left)
     more, stream, more_flux, more_top = diffuse(*(left + tail)[0, :2, 0])
     radiance, even, odd = scattered(_added(total + tail, more, stream))
-    return Polarised(radiance, even + gamma * scalar, odd, ground_flux + more_flux, top_flux + more_top)
+    # the aureole's light is polarised anew at each scattering: in all of its modes
+    even, odd = excited.at[:count, :modes].add(even), jnp.zeros_like(excited).at[:count, :modes].set(odd)
+    return Polarised(radiance, even, odd, ground_flux + more_flux, top_flux + more_top)
 
 
 def _tail(before, last):
@@ -129,7 +131,7 @@ def _added(field, more, stream):
 
 def sources_of_stokes(field: Polarised, scene: Scene) -> Float[Array, "stokes layer direction wavelength"]:
     """Sources of Q and U along each view."""
-    degrees, modes = field.radiance.shape[:2]
+    degrees, modes = field.even.shape[:2]
     cosine = jnp.maximum(jnp.cos(scene.view.zenith), 0.0)
     r, t = spin_legendre(cosine, jnp.sin(scene.view.zenith), modes, degrees)
     turn = jnp.arange(modes)[:, None] * (scene.view.azimuth - scene.sun_azimuth)[None]
