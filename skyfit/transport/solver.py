@@ -43,7 +43,8 @@ class Stokes(NamedTuple):
     def degree(self) -> Float[Array, "direction wavelength"]:
         r"""The degree of linear polarisation, $\sqrt{Q^2 + U^2} / I$, in [0, 1]; 0 in the dark."""
         lit = self.radiance > 0.0
-        return jnp.where(lit, safe_sqrt(self.q**2 + self.u**2) / jnp.where(lit, self.radiance, 1.0), 0.0)
+        polarised = safe_sqrt(jnp.asarray(self.q**2 + self.u**2))
+        return jnp.where(lit, polarised / jnp.where(lit, self.radiance, 1.0), 0.0)
 
     @property
     def angle(self) -> Float[Array, "direction wavelength"]:
