@@ -40,6 +40,7 @@ from .fit import (
     Fit as Fit,
     fit_perez as fit_perez,
     Fits as Fits,
+    haze_optics as haze_optics,
     invert as invert,
     Measurement as Measurement,
     next_directions as next_directions,

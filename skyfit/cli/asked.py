@@ -4,14 +4,25 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..files import read_response
-from ..fit import check_free, PARAMETERS, Response, SkyModel, SLOW, start_model, station_pressure, with_values
+from ..fit import (
+    check_free,
+    PARAMETERS,
+    PARTICLE_FREE,
+    Response,
+    SkyModel,
+    SLOW,
+    start_model,
+    station_pressure,
+    with_values,
+)
 from ..scene import Sky
 from .options import in_range
 
 
 def names_in(text: str) -> tuple[str, ...]:
-    """Names with commas between them."""
-    return tuple(name.strip() for name in text.split(",") if name.strip())
+    """Names with commas between them; `particles` stands for `PARTICLE_FREE`."""
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    return tuple(one for name in names for one in (PARTICLE_FREE if name == "particles" else (name,)))
 
 
 def start_of(free: tuple[str, ...], fix: Sequence[str], sky: Sky) -> SkyModel:

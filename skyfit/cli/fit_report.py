@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..fit import Fit, PARAMETERS, time_names
+from ..fit import Fit, haze_optics, PARAMETERS, time_names
 from ..transport import OrdersOfScattering
 from .options import console, table
 
@@ -131,6 +131,7 @@ def _about(fit: Fit):
     noise = f"noise, {_span(fit.scale, '.2g')} times the {known} one"
     yield f"model: {_solver(fit)}"
     yield f"sigma: {noise}, and a model error of {error:.2g} % (by model)"
+    yield from _haze(fit)
     yield from _calibration(fit)
     yield from _rejected(fit)
     for name, (value, sigma) in fit.priors.items():
@@ -144,6 +145,23 @@ def _about(fit: Fit):
         yield f"note: {note}"
     for reason, count in fit.sky.masked.items():
         yield f"masked: {count} samples {reason}"
+
+
+def _haze(fit: Fit):
+    """What follows of the optics of spheres, that parameters do not say."""
+    optics = haze_optics(fit)
+    if "effective_radius" not in optics:
+        return
+
+    def told(name):
+        value, sigma, unit = optics[name]
+        return f"{_span(value, '.3f')} +- {_span(sigma, '.2g')}{'' if unit == '1' else ' ' + unit}"
+
+    yield f"haze: Angstrom exponent 440-870 nm {told('angstrom_exponent_440_870')}"
+    yield f"haze: single-scattering albedo {told('single_scattering_albedo_440')} (440 nm)"
+    yield f"haze: single-scattering albedo {told('single_scattering_albedo_870')} (870 nm)"
+    for mode in ("fine_", "coarse_", ""):
+        yield f"haze: effective radius{mode and ', '}{mode.strip('_')} {told(f'{mode}effective_radius')}"
 
 
 def _solver(fit: Fit) -> str:

@@ -35,7 +35,9 @@ Latitude = Annotated[float | None, typer.Option(help="degrees north, if the file
 Longitude = Annotated[float | None, typer.Option(help="degrees east, if the file does not tell")]
 UtcOffset = Annotated[float | None, typer.Option(help="hours of local time ahead of UTC (EDT: -4)")]
 Altitude = Annotated[float | None, typer.Option(help="of the station, metres")]
-FreeOption = Annotated[str, typer.Option(help=f"with commas, of: {', '.join(PARAMETERS)}")]
+FreeOption = Annotated[
+    str, typer.Option(help=f"with commas: particles (sizes and index of spheres) or of {', '.join(PARAMETERS)}")
+]
 DEFAULT_FREE_TEXT = ",".join(DEFAULT_FREE)
 _USUAL, _USUAL_SOLVER = Measurement(), (SolverName.orders, PresetName.normal)
 # degrees; `Measurement` ends at half a radian

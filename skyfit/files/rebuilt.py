@@ -57,8 +57,9 @@ def _calibration(about: dict, times: int):
 
 def _model(about: dict):
     """The model of the recorded kinds and constants; its parameters are still those of a start."""
-    second = ("forward_fraction",) if about["phase"] == "TwoTermHenyeyGreenstein" else ()
-    model = start_model(second, SEA_LEVEL_PRESSURE)
+    # by what is free in it a start has the kind of haze that it has
+    kinds = {"TwoTermHenyeyGreenstein": ("forward_fraction",), "TwoModePhase": ("fine_fraction",)}
+    model = start_model(kinds.get(about["phase"], ()), SEA_LEVEL_PRESSURE)
     if about["phase"] == "CornetteShanks":
         model = eqx.tree_at(lambda m: m.atmosphere.aerosol.phase, model, CornetteShanks(0.7))
     if about["rayleigh_formula"] == "paper":

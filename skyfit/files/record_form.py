@@ -36,6 +36,7 @@ r"""The form of a fit's JSON record, and the check that a file has it.
       sun_zenith_deg, sun_azimuth_deg
       parameters          those of this time alone, as in shared; sigma holds model_sigma, the model's error
       correlation         [parameter][parameter] of all that are free
+      haze                name: {value, sigma, unit} of what skyfit.haze_optics says follows from the parameters
       result, steps       how the solve ended, and after how many steps
       rmse, rmse_unit     over the usable samples
       samples             how many those are
@@ -96,6 +97,7 @@ _FORM = {
             "sun_azimuth_deg": _NUMBER,
             "parameters": {_ANY: _FITTED},
             "correlation": [[_NUMBER_OR_NULL]],
+            "haze": {_ANY: {"value": _NUMBER_OR_NULL, "sigma": _NUMBER_OR_NULL, "unit": _TEXT}},
             "result": _TEXT,
             "steps": _COUNT,
             "rmse": _NUMBER_OR_NULL,

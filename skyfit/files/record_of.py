@@ -5,7 +5,7 @@ from dataclasses import fields
 import jax
 import numpy as np
 
-from ..fit import Fit, PARAMETERS
+from ..fit import Derived, Fit, haze_optics, PARAMETERS
 from ..fit.parameters import partition, values_of
 from .netcdf import degrees
 from .record_form import SCHEMA, VERSION
@@ -17,7 +17,7 @@ def record_of(fit: Fit) -> dict:
     """The record of a fit, in Python's and NumPy's types; what is not finite stands as it is."""
     sky, solver, given = fit.sky, fit.solver, fit.measurement
     station = ("latitude_deg", "longitude_deg", "altitude_m", "pressure_pa")
-    common = [p for p, name in enumerate(fit.free) if name in fit.shared]
+    common, optics = [p for p, name in enumerate(fit.free) if name in fit.shared], haze_optics(fit)
     return {
         "schema": SCHEMA,
         "version": VERSION,
@@ -51,7 +51,7 @@ def record_of(fit: Fit) -> dict:
             "scale": _once(fit.calibration),
             "sigma": _once(fit.calibration_sigma),
         },
-        "times": [_time_record(fit, t) for t in range(len(sky.time))],
+        "times": [_time_record(fit, t, optics) for t in range(len(sky.time))],
         "total_rmse": fit.total_rmse,
         "notes": list(fit.notes),
     }
@@ -86,7 +86,7 @@ def _parameters(fit: Fit, t: int, places: list[int]) -> dict:
     }
 
 
-def _time_record(fit: Fit, t: int) -> dict:
+def _time_record(fit: Fit, t: int, optics: dict[str, Derived]) -> dict:
     sky = fit.sky
     masked = dict(sky.at(t).masked)
     left_out = int(np.sum(sky.usable[t] & ~fit.used[t]))
@@ -98,6 +98,7 @@ def _time_record(fit: Fit, t: int) -> dict:
         "sun_azimuth_deg": degrees(sky.sun_azimuth)[t],
         "parameters": _parameters(fit, t, [p for p, name in enumerate(fit.free) if name not in fit.shared]),
         "correlation": fit.correlation[t],
+        "haze": {n: {"value": d.value[t], "sigma": d.sigma[t], "unit": d.unit} for n, d in optics.items()},
         "result": fit.result[t],
         "steps": fit.steps[t],
         "rmse": fit.rmse[t],

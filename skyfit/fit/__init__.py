@@ -1,3 +1,4 @@
+from .haze_optics import Derived as Derived, haze_optics as haze_optics
 from .inversion import (
     DEFAULT_FREE as DEFAULT_FREE,
     invert as invert,
