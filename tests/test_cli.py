@@ -15,7 +15,7 @@ import skyfit.cli.invert as command
 from skyfit.cli.fit_report import print_fit
 from skyfit.cli.options import app
 from skyfit.cli.simulate import turbidity_of
-from skyfit.fit import DEFAULT_FREE, PARAMETERS, SLOW
+from skyfit.fit import DEFAULT_FREE, PARAMETERS, PARTICLE_FREE, SLOW
 
 
 WAVELENGTHS = "420:680:20"
@@ -244,7 +244,7 @@ def test_a_file_of_two_times_shares_what_is_slow(skyfit_command, tmp_path):
     assert sum(line.split()[:1] in (["10:00"], ["11:00"]) for line in done.stdout.splitlines()) == 4
     for words in (
         "ozone 350 DU", "prior: angstrom_exponent 1.2 +- 0.5", "smooth: turbidity, change of its logarithm",
-        "times the stated one", "a model error of 0.2 %", "calibration: scale", "prior 0.02",
+        "SingleScattering, flat, scalar", "times the stated one", "a model error of 0.2 %", "calibration: scale", "prior 0.02",
         f"rejected, 11:00: 1 direction, zenith azimuth {bird[0]:.0f} {bird[1]:.0f}",
     ):  # fmt: skip
         assert words in printed, printed
@@ -271,8 +271,8 @@ def test_the_options_of_invert_reach_the_fit(monkeypatch, tmp_path):
     (tmp_path / "camera.csv").write_text("wavelength_nm,blue,green\n450,1,0\n550,0,2\n650,0,1\n")
     usual = asked(monkeypatch, tmp_path)
     assert usual["free"] == DEFAULT_FREE and usual["shared"] == tuple(n for n in DEFAULT_FREE if n in SLOW)
-    # the usual solvers of `invert` itself
-    assert usual["solver"] is None and usual["draft"] is None
+    # the usual first steps of `invert` itself
+    assert usual["solver"] == skyfit.OrdersOfScattering.normal(polarised=True) and usual["draft"] is None
     assert usual["measurement"] == skyfit.Measurement() and usual["starts"] == 1
     assert usual["response"] is None and usual["priors"] == usual["smooth"] == {}
     given = asked(
@@ -284,6 +284,8 @@ def test_the_options_of_invert_reach_the_fit(monkeypatch, tmp_path):
     # what is smooth in time is not the same at all times
     assert given["smooth"] == {"asymmetry": 0.1, "turbidity": 0.3} and given["shared"] == ("ozone",)
     np.testing.assert_allclose(given["response"].weight, [[50.0, 0.0, 0.0], [0.0, 200.0, 50.0]])
+    scalar = asked(monkeypatch, tmp_path, "--scalar", "--free", "particles,ozone")
+    assert scalar["solver"] == skyfit.OrdersOfScattering.normal() and scalar["free"] == (*PARTICLE_FREE, "ozone")
     assert asked(monkeypatch, tmp_path, "--independent")["shared"] == ()
     assert asked(monkeypatch, tmp_path, "--shared", "asymmetry, ground_albedo")["shared"] == (
         "asymmetry",

@@ -156,6 +156,7 @@ _LIST = (
     Parameter("ozone", "DU", 50.0, 700.0, lambda m: m.atmosphere.ozone.column),
     Parameter("ground_albedo", "1", 0.0, 1.0, lambda m: m.atmosphere.ground.albedo),
     Parameter("ground_albedo_slope", "1", -1.0, 1.0, lambda m: m.atmosphere.ground.albedo_slope),
+    Parameter("ground_red_edge", "1", 0.0, 1.0, lambda m: m.atmosphere.ground.red_edge),
     Parameter("pressure", "Pa", 3e4, 1.1e5, lambda m: m.atmosphere.rayleigh.pressure),
     Parameter(
         "pointing_zenith",
