@@ -23,6 +23,7 @@ from .options import (
     LossName,
     make_solver,
     OutFolder,
+    PolarisedOption,
     PresetName,
     PresetOption,
     progress,
@@ -71,9 +72,7 @@ def invert_command(
     solver: SolverOption = _USUAL_SOLVER[0],
     preset: PresetOption = _USUAL_SOLVER[1],
     geometry: GeometryOption = GeometryName.spherical,
-    polarised: Annotated[
-        bool | None, typer.Option("--polarised/--scalar", help="(default: polarised for spectra, scalar for channels)")
-    ] = None,
+    polarised: PolarisedOption = None,
 ):
     """Recover turbidity or aerosol optical depth, and more, from a measured sky."""
     names, smoothed = names_in(free), smooth_of(smooth or [])

@@ -70,6 +70,9 @@ OzoneColumn = Annotated[float, typer.Option("--ozone", help="Dobson units")]
 Pressure = Annotated[float, typer.Option(help="Pa at the ground: scales the air's scattering")]
 HazeHeight = Annotated[float, typer.Option(help="scale height of the haze, m")]
 OutFolder = Annotated[Path, typer.Option("--out", help="folder for the results")]
+PolarisedOption = Annotated[
+    bool | None, typer.Option("--polarised/--scalar", help="(default: polarised for spectra by the solver orders)")
+]
 LineShape = Annotated[float | None, typer.Option(help="Gaussian line shape of the instrument, nm")]
 
 

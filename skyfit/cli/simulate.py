@@ -32,6 +32,7 @@ from .options import (
     make_solver,
     notices,
     OzoneColumn,
+    PolarisedOption,
     PresetName,
     PresetOption,
     Pressure,
@@ -45,7 +46,7 @@ from .options import (
 # what only a simulation heeds
 _OF_SIMULATIONS = (
     "angstrom_exponent", "single_scattering_albedo", "asymmetry", "haze_height", "ground_albedo", "ozone", "pressure",
-    "fwhm", "solver", "preset", "geometry",
+    "fwhm", "solver", "preset", "geometry", "polarised",
 )  # fmt: skip
 
 
@@ -125,6 +126,7 @@ def simulate(
     solver: SolverOption = SolverName.orders,
     preset: PresetOption = PresetName.normal,
     geometry: GeometryOption = GeometryName.spherical,
+    polarised: PolarisedOption = None,
 ):
     """Simulate the spectral radiance of a clear sky."""
     haze = turbidity_of(turbidity, aerosol_optical_depth, meteorological_range, haze_height)
@@ -144,7 +146,8 @@ def simulate(
     scene = Scene.from_degrees(sun_zenith, view, spectrum, sun_azimuth, fwhm_nm=fwhm, irradiance=irradiance)
     with progress("simulating"):
         if analytic is None:
-            radiance = np.asarray(make_solver(solver, preset, geometry).radiance(atmosphere, scene), float)
+            vector = solver is SolverName.orders if polarised is None else polarised
+            radiance = np.asarray(make_solver(solver, preset, geometry, vector).radiance(atmosphere, scene), float)
         else:
             radiance = np.asarray(analytic.radiance(haze, scene), float)
             if not analytic.valid(haze, scene.sun_zenith):
