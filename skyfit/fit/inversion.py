@@ -29,8 +29,8 @@ DEFAULT_FREE = (
 )  # fmt: skip
 # the same with particles: haze of spheres in two modes of size
 PARTICLE_FREE = (
-    "aerosol_optical_depth", "fine_fraction", "fine_radius", "coarse_radius", "fine_width", "refractive_index",
-    "absorption_index", "ground_albedo", "pointing_zenith", "pointing_azimuth",
+    "aerosol_optical_depth", "fine_fraction", "fine_radius", "coarse_radius", "refractive_index", "absorption_index",
+    "ground_albedo", "ground_red_edge", "pointing_zenith", "pointing_azimuth",
 )  # fmt: skip
 # what stays the same over a day: the kind of particle and the air; the amount of haze, the pointing and, under a moving
 # sun, what the ground reflects do not
