@@ -73,7 +73,7 @@ def errors(found, reference) -> dict:
 
 
 def references(cases, folder: pathlib.Path) -> dict:
-    """Polarised `fine` in float64, by geometry `[scene, direction, wavelength]`: made in the float64 process, then read."""
+    """Polarised `fine` by geometry, `[scene, direction, wavelength]`: made in the float64 process, then read."""
     path = folder / "references.npz"
     if not path.exists():
         values = {}
