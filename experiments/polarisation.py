@@ -6,7 +6,7 @@
 sasktran2, and how far apart the two are in I, Q and U. `in the air between`: what the air near the ground scatters into
 level views of the light around it (`scattered_light`), where the sky of either solver counts as unpolarised.
 `recovery`: sasktran2's polarised skies with 1 % noise inverted by the scalar and the polarised solver; the haze has the
-polarisation that the fit assumes, and in one part another.
+polarisation that the fit assumes, and in one part another; in a third, the control, nothing is polarised.
 V is left out by both: air makes none of it, and of haze it takes four scatterings (air, F34, F34, F12) to be seen in I.
 """
 
@@ -39,6 +39,8 @@ FITS = {
     "scalar, no model error allowed for": (SCALAR, SAME_PHYSICS),
     "polarised": (POLARISED, SAME_PHYSICS),
 }
+# the same noise, and no polarisation anywhere: what is left is noise and what two scalar solvers differ by
+CONTROL = "scalar, no model error allowed for"
 # degree at 90 degrees from the sun of the haze that is not as assumed
 OTHER_HAZE = 0.6
 
@@ -133,16 +135,16 @@ def in_between(sun_deg: float) -> dict:
     }
 
 
-def recovery(truths) -> dict:
-    """Errors of the parameters of each kind of fit to the same noisy polarised skies."""
+def recovery(truths, fits_of=FITS, polarised: bool = True) -> dict:
+    """Errors of the parameters of each kind of fit to the same noisy skies."""
     skies = [
-        foreign.with_noise(foreign.sasktran2_sky(truth, NOISE, polarised=True), seed)
+        foreign.with_noise(foreign.sasktran2_sky(truth, NOISE, polarised=polarised), seed)
         for seed, truth in enumerate(truths)
     ]
     hazy = np.array([truth.aerosol_optical_depth >= HAZY for truth in truths])
     true = np.array([truth.values(FREE) for truth in truths])
     record = {"skies": len(truths), "hazy skies": int(hazy.sum())}
-    for name, (solver, measurement) in FITS.items():
+    for name, (solver, measurement) in fits_of.items():
         fits = [skyfit.invert(sky, FREE, solver, measurement=measurement) for sky in skies]
         error = np.array([fit.values[0] for fit in fits]) - true
         sigma = np.array([fit.sigma[0] for fit in fits])
@@ -178,8 +180,7 @@ def show(part: str, record: dict) -> None:
             cells = (f"{colour}: {c['min']:5.2f},{c['max']:5.2f}" for colour, c in row.items())
             print(f"  {sky:12s}" + "   ".join(cells))
         return
-    for name in FITS:
-        row = record[name]
+    for name, row in ((n, record[n]) for n in FITS if n in record):
         print(f"  {name}: {row['successful']} of {record['skies']}, chi2 {row['median reduced chi square']:.2f}")
         for parameter in FREE:
             cells = row[parameter]
@@ -200,6 +201,8 @@ def main():
     parts |= {f"in the air between, sun at {sun:.0f}": lambda sun=sun: in_between(sun) for sun in SUNS_DEG}
     parts["recovery"] = lambda: recovery(truths)
     parts[f"recovery, haze polarised by {OTHER_HAZE}, unknown to the fit"] = lambda: recovery(others)
+    control = {CONTROL: FITS[CONTROL]}
+    parts["recovery, scalar skies"] = lambda: recovery(truths, control, polarised=False)
     for name, make in parts.items():
         if arguments.only and name not in arguments.only.split(";"):
             continue
