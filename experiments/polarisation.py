@@ -59,8 +59,9 @@ def by_angle(ratio: np.ndarray, angle_deg: np.ndarray) -> dict:
     return table
 
 
-def price(sun_deg: float) -> dict:
+def price(sun_deg: float, geometry: skyfit.transport.Geometry = "flat") -> dict:
     """One clear sky by both solvers of skyfit and of sasktran2."""
+    plain_solver, vector_solver = (replace(solver, geometry=geometry) for solver in (SCALAR, POLARISED))
     dome = skyfit.hemisphere(300, np.radians(80.0))
     zenith, azimuth = (np.asarray(v, float) for v in (dome.zenith, dome.azimuth))
     angle = np.degrees(np.asarray(angle_between(zenith, np.radians(sun_deg), azimuth), float))
@@ -71,12 +72,14 @@ def price(sun_deg: float) -> dict:
     atmosphere = skyfit.Atmosphere.from_optical_depth(HAZE)
     view = skyfit.Directions(zenith, azimuth)
     scene = skyfit.Scene.from_degrees(sun_deg, view, colours, irradiance="unit")
-    scalar = np.asarray(SCALAR.radiance(atmosphere, scene))
-    vector = POLARISED.stokes(atmosphere, scene)
+    scalar = np.asarray(plain_solver.radiance(atmosphere, scene))
+    vector = vector_solver.stokes(atmosphere, scene)
     ours = np.stack([np.asarray(part) for part in (vector.radiance, vector.q, vector.u)])
     sky = atmosphere, sun_deg, np.degrees(zenith), np.degrees(azimuth), colours
-    theirs, plain = (foreign.sasktran2_stokes(*sky, polarised=p) for p in (True, False))
+    theirs, plain = (foreign.sasktran2_stokes(*sky, polarised=p, geometry=geometry) for p in (True, False))
     off = np.abs(ours - theirs) / theirs[:1]
+    # what polarisation does to the radiance, where the scalar solvers differ too
+    ratio = (scalar / ours[0]) / (plain[0] / theirs[0]) - 1.0
     return {
         "directions": int(zenith.size),
         "scalar over polarised, per cent": {
@@ -86,6 +89,7 @@ def price(sun_deg: float) -> dict:
         "largest difference from sasktran2, over its I": {
             "I, scalar from scalar": float(np.max(np.abs(scalar / plain[0] - 1.0))),
             "I, scalar from polarised": float(np.max(np.abs(scalar / theirs[0] - 1.0))),
+            "I, scalar over polarised": float(np.max(np.abs(ratio))),
             **{name: float(np.max(component)) for name, component in zip(("I", "Q", "U"), off, strict=True)},
         },
         "largest degree of polarisation": float(np.max(np.asarray(vector.degree))),
@@ -166,7 +170,7 @@ def recovery(truths, fits_of=FITS, polarised: bool = True) -> dict:
 
 def show(part: str, record: dict) -> None:
     print(f"\n{part}")
-    if part.startswith("price"):
+    if "price" in part:
         for solver, table in record["scalar over polarised, per cent"].items():
             print(f"  {solver:12s}" + "".join(f"{colour:>22d}" for colour in COLOURS))
             for angles, row in table.items():
@@ -198,6 +202,8 @@ def main():
     truths = foreign.random_truths(arguments.skies, SEED)
     others = [replace(truth, polarisation=OTHER_HAZE) for truth in truths]
     parts = {f"price, sun at {sun:.0f}": lambda sun=sun: price(sun) for sun in SUNS_DEG}
+    low = SUNS_DEG[-1]
+    parts[f"spherical price, sun at {low:.0f}"] = lambda: price(low, "spherical")
     parts |= {f"in the air between, sun at {sun:.0f}": lambda sun=sun: in_between(sun) for sun in SUNS_DEG}
     parts["recovery"] = lambda: recovery(truths)
     parts[f"recovery, haze polarised by {OTHER_HAZE}, unknown to the fit"] = lambda: recovery(others)

@@ -63,10 +63,14 @@ def polarised(record: dict, fits: dict) -> str:
             f"| {'-' if of_q_u is None else f'{100 * of_q_u:.2g} %'} | {_milliseconds(row['seconds_per_sky'])} ms |"
         )
     cost, noise = record["polarised_over_scalar"], fits["made_with"]["noise"]
-    times = {
-        kind: " (flat) and ".join(f"{cost[geometry][kind]['polarised over scalar']:.2g}" for geometry in GEOMETRIES)
+    ratios = (
+        "{:.2g} (flat) and {:.2g} (spherical)".format(
+            *(cost[geometry][kind]["polarised over scalar"] for geometry in GEOMETRIES)
+        )
         for kind in ("radiance", "gradient", "jacobian")
-    }
+    )
+    of_radiance, of_gradient, of_jacobian = ratios
+    clear = ("{:.1f} to {:.1f} % off at {} nm".format(*_extremes(fits, colour), colour) for colour in ("383", "710"))
     scalar, vector = (fits["recovery"][name] for name in ("scalar", "polarised"))
     names = {
         "aerosol_optical_depth": "optical depth",
@@ -80,15 +84,28 @@ def polarised(record: dict, fits: dict) -> str:
     shares = [fit["share within 2 sigma"] for fit in vector.values() if isinstance(fit, dict)]
     lines += [
         "",
-        "Flat, ground albedo 0-0.8, sun and view to 84°, float32; fastest of runs in turns. Polarised over scalar, the "
-        f"radiance takes {times['radiance']} (spherical)",
-        f"times as long, its gradient {times['gradient']}, its Jacobian to 8 parameters {times['jacobian']}. Fitted to "
+        "Flat, ground albedo 0-0.8, sun and view to 84°, float32; fastest of runs in turns. Polarised over scalar:",
+        f"{of_radiance} times as long for the radiance, {of_gradient} for its gradient,",
+        f"{of_jacobian} for its Jacobian to 8 parameters. In a clear sky (haze {fits['made_with']['haze']:g}, "
+        "sun at 30-75°)",
+        f"the scalar solver is {' and '.join(clear)}. Fitted to",
         f"{fits['recovery']['skies']} polarised skies of sasktran2 with {100 * noise:.0f} % noise,",
-        f"the scalar solver is off by {rms['scalar']} (rms);",
+        f"it is off by {rms['scalar']} (rms);",
         f"the polarised one by {rms['polarised']}, with {100 * min(shares):.0f}-{100 * max(shares):.0f} % of the "
         "parameters' truths within 2 sigma.",
     ]
     return "\n".join(lines)
+
+
+def _extremes(fits: dict, colour: str) -> tuple[float, float]:
+    """Least and largest price in per cent, over suns and angles."""
+    rows = [
+        cells[colour]
+        for part, record in fits.items()
+        if part.startswith("price")
+        for cells in record["scalar over polarised, per cent"]["skyfit"].values()
+    ]
+    return min(row["min"] for row in rows), max(row["max"] for row in rows)
 
 
 def inverted(measured: dict, recovery: dict, speed: dict, many: dict) -> str:
