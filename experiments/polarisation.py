@@ -38,6 +38,7 @@ FITS = {
     "scalar": (SCALAR, ALLOWED),
     "scalar, no model error allowed for": (SCALAR, SAME_PHYSICS),
     "polarised": (POLARISED, SAME_PHYSICS),
+    "polarised, model error allowed for": (POLARISED, ALLOWED),
 }
 # the same noise, and no polarisation anywhere: what is left is noise and what two scalar solvers differ by
 CONTROL = "scalar, no model error allowed for"
