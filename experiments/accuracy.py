@@ -22,7 +22,7 @@ import numpy as np
 from benchmark import atmosphere_of, PARAMETERS, scene_of, SUN_ZENITH
 from oracle_check import compare
 from recovery import tests_module
-from tiers import compiled, GEOMETRIES, interleaved, PRESETS, WAVELENGTH_NM
+from tiers import compiled, GEOMETRIES, interleaved, PRESETS
 
 import skyfit
 
@@ -99,7 +99,7 @@ def vector(folder: pathlib.Path) -> list[dict]:
     """Errors of the flat presets, scalar and polarised, against the tables of Natraj et al. 2009.
 
     Rayleigh air of optical depth 0.02-1 (their wavelengths), ground albedo 0-0.8, sun and view cosines from 0.1, all
-    azimuths. The error of Q and U is over I. Times are of one sky of 343 x 41 with haze, all rows in turns.
+    azimuths. The error of Q and U is over I.
     """
     skies = tests_module("vector_skies")
     zenith, azimuth, kept = skies.natraj_views()
@@ -107,11 +107,7 @@ def vector(folder: pathlib.Path) -> list[dict]:
     right = skies.natraj(folder)[:, :, :, kept]
     # stand for the depths
     wavelength = np.linspace(400.0, 700.0, len(skies.DEPTHS))
-    rows, runs = [], {}
-    timed = (
-        skyfit.Atmosphere.from_turbidity(3.0),
-        skyfit.Scene.from_degrees(60.0, skyfit.hemisphere(343), WAVELENGTH_NM),
-    )
+    rows = []
     for preset, polarised in itertools.product(PRESETS, (False, True)):
         solver = getattr(skyfit.OrdersOfScattering, preset)("flat", polarised=polarised)
         found = np.empty((3 if polarised else 1, *right.shape[1:]))
@@ -140,24 +136,24 @@ def vector(folder: pathlib.Path) -> list[dict]:
                 "worst": {n: float(axis[i]) for n, axis, i in zip(names, axes, worst, strict=True)},
             }
         )
-        run, _ = compiled(solver.radiance, *timed)
-        runs[preset, polarised] = lambda run=run: run(*timed)
-    times = interleaved(runs, 25, slow=0.1)
-    for row in rows:
-        took = times[row["preset"], row["polarised"]]
-        # this machine is shared: the least is what the sky takes
-        row |= {"seconds_per_sky": took["fastest"], "seconds_per_sky_median": took["seconds"]}
-        print(row, flush=True)
+        print(rows[-1], flush=True)
     return rows
 
 
 def cost() -> dict:
-    """Seconds of `normal`, scalar and polarised: the radiance of a sky, the gradient of its mean, its Jacobian.
+    """Seconds of scalar and polarised skies, in turns, the fastest of each: what a shared machine leaves undisturbed.
 
-    By geometry and in turns, the fastest of each; gradient and Jacobian by the eight `PARAMETERS`.
+    The flat presets; of `normal`, by geometry, the radiance, the gradient of its mean and its Jacobian, both by the
+    eight `PARAMETERS`.
     """
     values, scene = jnp.asarray(list(PARAMETERS.values()), float), scene_of(SUN_ZENITH)
-    record = {}
+    air, runs = atmosphere_of(values, ozone=False), {}
+    for preset, polarised in itertools.product(PRESETS, (False, True)):
+        solver = getattr(skyfit.OrdersOfScattering, preset)("flat", polarised=polarised)
+        program, _ = compiled(solver.radiance, air, scene)
+        runs[f"{preset}, {'polarised' if polarised else 'scalar'}"] = lambda program=program: program(air, scene)
+    record: dict = {"presets": {name: row["fastest"] for name, row in interleaved(runs, 40, slow=0.1).items()}}
+    print(record, flush=True)
     for geometry in GEOMETRIES:
         runs = {}
         for polarised in (False, True):
