@@ -84,17 +84,17 @@ def polarised(record: dict, fits: dict) -> str:
     allowed = other["polarised, model error allowed for"]
     lines += [
         "",
-        "Flat, ground albedo 0-0.8, sun and view to 84°, float32; fastest of runs in turns. Polarised over scalar, flat and",
-        f"spherical: {of_radiance} times as long for the radiance, {of_gradient} for its gradient, {of_jacobian} for its "
-        "Jacobian",
-        f"to 8 parameters. In a clear sky (haze {fits['made_with']['haze']:g}, sun at 30-75°) the scalar solver is "
-        f"{' and '.join(clear)}.",
-        f"Fitted to {same['skies']} polarised skies of sasktran2 with {100 * noise:.0f} % noise, it is off by "
+        "Flat, ground albedo 0-0.8, sun and view to 84°, float32; fastest of runs in turns. Polarised over scalar,",
+        f"flat and spherical: {of_radiance} times as long for the radiance, {of_gradient} for its gradient,",
+        f"{of_jacobian} for its Jacobian to 8 parameters. In a clear sky (haze {fits['made_with']['haze']:g}, "
+        "sun at 30-75°)",
+        f"the scalar solver is {' and '.join(clear)}. Fitted to",
+        f"{same['skies']} polarised skies of sasktran2 with {100 * noise:.0f} % noise, it is off by",
         f"{off(same['scalar'])} (rms);",
-        f"the polarised one by {off(same['polarised'])}, with {within(same['polarised'])}",
-        "of the truths, by parameter, within 2 sigma of noise. Where the haze polarises by 0.6 and the fit assumes 0.25: "
-        f"{off(other['polarised'])};",
-        f"{within(other['polarised'])} within 2 sigma of noise, {within(allowed)} with the model error that is the default.",
+        f"the polarised one by {off(same['polarised'])},",
+        f"with {within(same['polarised'])} of the truths, by parameter, within 2 sigma of the noise. Where haze",
+        f"polarises by 0.6 and the fit assumes 0.25, it is off by {off(other['polarised'])};",
+        f"{within(other['polarised'])} within 2 sigma of the noise, {within(allowed)} with the default model error.",
     ]
     return "\n".join(lines)
 
