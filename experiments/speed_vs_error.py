@@ -5,9 +5,10 @@
 Scenes are seeded: sun zenith 10-88 degrees, turbidity 1.5-8, ground albedo 0-0.8, each range cut into as many strata
 as there are scenes. 343 directions (49 zenith angles to 85 degrees x 7 azimuths, a product as nanodisort wants it) x
 41 wavelengths, air, haze and ground. float64 and float32 each have a process of their own. The error is relative to
-`OrdersOfScattering.fine` of the row's own geometry in float64, over directions and wavelengths, where that is not
-zero: column `reference`. A tier of lower order is measured against all orders too. Writes speed_vs_error.csv, one row
-per scene, solver, preset, geometry and dtype, failures with the exception's name, and speed_vs_error.png.
+`OrdersOfScattering.fine(polarised=True)` of the row's own geometry in float64, over directions and wavelengths, where
+that is not zero: column `reference`. So a tier of lower order pays for the orders that it leaves out, and one without
+polarisation, the rivals' rows too, for that. Writes speed_vs_error.csv, one row per scene, solver, preset, geometry
+and dtype, failures with the exception's name, and speed_vs_error.png.
 """
 
 import argparse
@@ -72,12 +73,12 @@ def errors(found, reference) -> dict:
 
 
 def references(cases, folder: pathlib.Path) -> dict:
-    """`fine` in float64, by geometry `[scene, direction, wavelength]`: made in the float64 process, then read."""
+    """Polarised `fine` by geometry, `[scene, direction, wavelength]`: made in the float64 process, then read."""
     path = folder / "references.npz"
     if not path.exists():
         values = {}
         for geometry in GEOMETRIES:
-            solver = make("orders", "fine", geometry)
+            solver = make("orders polarised", "fine", geometry)
             run = jax.jit(lambda v, solver=solver: solver.radiance(*sky(v)))
             values[geometry] = np.array([run(jnp.asarray(case, float)) for case in cases])
         np.savez(path, **values)
@@ -89,7 +90,7 @@ def own_rows(cases, right, repeats: int) -> list[dict]:
     rows = []
     for model in models():
         name = {"solver": model.name, "preset": model.preset, "geometry": model.geometry}
-        name |= {"dtype": str(jnp.result_type(float)), "reference": f"orders fine {model.geometry} float64"}
+        name |= {"dtype": str(jnp.result_type(float)), "reference": f"orders polarised fine {model.geometry} float64"}
         try:
             skies = [jax.block_until_ready(sky(jnp.asarray(case, float))) for case in cases]
             run, compiling = compiled(model.solver.radiance, *skies[0])
@@ -114,7 +115,7 @@ def rival_rows(cases, right, repeats: int) -> list[dict]:
     for (solver, preset), (_, geometries, prepare) in installed().items():
         for geometry in geometries:
             name = {"solver": solver, "preset": preset, "geometry": geometry, "dtype": "float64"}
-            name |= {"reference": f"orders fine {geometry} float64"}
+            name |= {"reference": f"orders polarised fine {geometry} float64"}
             for i, case in enumerate(cases):
                 try:
                     solve = prepare(rival_optics(sky(case)[0], WAVELENGTH_NM), View(ZENITH, AZIMUTH, case[0]), geometry)
@@ -154,7 +155,7 @@ def front(middle: pd.DataFrame) -> pd.DataFrame:
 
 def plot(table: pd.DataFrame, path: pathlib.Path):
     """Medians over the scenes: time of a sky against median error; hollow marks are float64, the line is the front."""
-    # `fine` in float64 is its own reference
+    # polarised `fine` in float64 is its own reference
     good = table[table.median_error > 1e-12]
     middle = good.groupby(list(ROWS), sort=False)[["seconds", "median_error"]].median().reset_index()
     kinds, presets = list(dict.fromkeys(middle.solver)), list(dict.fromkeys(middle.preset))
@@ -170,7 +171,7 @@ def plot(table: pd.DataFrame, path: pathlib.Path):
             face = "none" if row.dtype == "float64" else colours[row.solver]
             style = {"marker": marks[row.preset], "mfc": face, "mec": colours[row.solver], "ms": 8, "mew": 1.5}
             panel.loglog([1e3 * row.seconds], [row.median_error], ls="", **style)
-        panel.set_title(f"{geometry} (error against fine, {geometry})", size=11)
+        panel.set_title(f"{geometry} (error against polarised fine, {geometry})", size=10)
         panel.set_xlabel("time of one sky, ms")
         panel.grid(which="major", alpha=0.3)
         panel.margins(0.08)

@@ -28,6 +28,7 @@ TIERS = {
     "single": ("SingleScattering", PRESETS, GEOMETRIES),
     "double": ("DoubleScattering", PRESETS, GEOMETRIES),
     "orders": ("OrdersOfScattering", PRESETS, GEOMETRIES),
+    "orders polarised": ("OrdersOfScattering", PRESETS, GEOMETRIES),
 }
 WAVELENGTH_NM = np.arange(380.0, 781.0, 10.0)
 
@@ -44,7 +45,8 @@ class Model(NamedTuple):
 def make(name: str, preset: str, geometry: str | None) -> skyfit.transport.AbstractSolver:
     """The solver that a row of `TIERS` means."""
     method = getattr(getattr(skyfit, TIERS[name][0]), preset)
-    return method() if geometry is None else method(geometry)
+    settings = {"polarised": True} if name.endswith("polarised") else {}
+    return method() if geometry is None else method(geometry, **settings)
 
 
 def models() -> list[Model]:

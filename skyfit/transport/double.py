@@ -24,7 +24,7 @@ class DoubleScattering(AbstractSolver):
     Resolution and `geometry` as in `OrdersOfScattering`. The ground's albedo is ignored.
 
     **Valid:** as `OrdersOfScattering`; asymmetry parameters to about 0.8. What it leaves out is a tenth of a
-    clear blue sky and more of haze over a bright ground.
+    clear blue sky and more of haze over a bright ground. Polarisation is left out, as in a scalar `OrdersOfScattering`.
     **Source:** Nishita et al. 1996, Display method of the sky color taking into account multiple scattering;
     Preetham 1999, sec. 3.2: "second order scattering", reflection by the ground neglected.
     """

@@ -29,12 +29,18 @@ class OrdersOfScattering(AbstractSolver):
     sweeps through it; `nodes` of the single-scattering integral; `spectral_nodes`, wavelengths at which
     multiple scattering is solved (0, or an atmosphere that is not smooth in wavelength: all of the scene's);
     `geometry` "spherical": curved paths for beam and view, and diffuse streams that change their local angle
-    from layer to layer, under a sun whose local zenith angle is the observer's for them; or "flat".
+    from layer to layer, under a sun whose local zenith angle is the observer's for them; or "flat". `polarised`: with
+    linear polarisation, in the radiance and for `stokes`: 1.2 times the scalar solver's time, its Jacobian 1.4 times.
 
     **Valid:** flat: sun and view zenith to 85 degrees; asymmetry parameters to 0.82, beyond which the aureole in
     haze of optical depth 1 is some per cent off (`fine`: to 0.88 within 0.3 %, 1.5 % with a low sun). Optical depth
     50 is 2 % off (`normal`), more where little light is left. Spherical: sun and view zenith to 80 within 1 %
     beyond the noise of the Monte Carlo, at 85 within 5 %; lower suns only finite.
+    All this is of scalar light. What polarisation does is missing from it: up to 8 % of a clear sky at 383 nm and 1.4 %
+    at 710 nm, of either sign, 19 % in air of optical depth 1 under a low sun. `polarised`, flat: I, and Q and U over I,
+    within 0.5 % (`fine` 0.02 %) of Natraj et al. 2009 for air of optical depths to 1, sun and view cosines from 0.1,
+    and within 0.4 % of sasktran2 with haze. Spherical: what polarisation does to I within 0.2 % of sasktran2's, Q and U
+    within 1.2 % of I, at 75 degrees. V is neglected (`Stokes`).
     **Source:** Nakajima & Tanaka 1988, JQSRT 40, 51; Wiscombe 1977, J. Atmos. Sci. 34, 1408;
     Lenoble et al. 2007, JQSRT 107, 479 (successive orders).
     """

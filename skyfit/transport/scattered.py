@@ -42,6 +42,8 @@ def scattered_light(
     albedo the atmosphere's; the paper has none: albedo 0) is lit as at the eye. 24 rings are within 1e-6 for
     a Henyey-Greenstein g of 0.7, 5e-3 for 0.85 and 2e-3 for Bullrich's table, worst in the aureole of a low sun; a
     grid of (16, 17) adds 4e-3, 6e-2 and 2e-3, one of (24, 25) 3e-4, 2e-2 and 8e-4.
+    Sky light counts as unpolarised: what clear air makes of it and of the sun in level views is up to 4 % off at 383 nm
+    under a sun at 60 degrees, 9 % at 75, and 1 % at 710 nm, where the radiance is a polarised solver's too.
     **Source:** Preetham 1999, sec. 4.2.
     """
     scatterers = tuple(c for c in atmosphere.constituents if c.phase is not None)

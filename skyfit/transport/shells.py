@@ -192,6 +192,7 @@ class Shells(AbstractSolver):
     **Valid:** sun above the horizon, else black; views above it, else 0; slant optical depths of one layer up to
     40, 150 and over 300 for the presets, within 1 % (beyond, nodes miss the bright near end; flat: any depth). A sun
     within a degree of the horizon and behind the eye: 5, 0.4 and 0.8 %, where its rays graze a top.
+    Light scattered once: leaving polarisation out costs its radiance nothing.
     **Source:** Klassen 1987, ACM Trans. Graph. 6, 215; the scattering angle is the one between the two directions
     (his $\theta + \phi$ of eq. 41 holds in the sun's vertical plane only).
     """

@@ -157,6 +157,7 @@ class SingleScattering(AbstractSolver):
     **Valid:** any sun; flat: above the horizon (below it the sky is black). `normal` is within 1e-5 of the integral at
     optical depths to 0.5, 2e-4 at 1 and 1e-3 at 5, twilight included; views are cut at the edges of `Layered`
     scatterers: 1e-5 by day, 1e-2 in twilight. In spherical geometry the air above 100 km scatters nothing: 4e-6 of it.
+    Polarisation changes nothing of the radiance of light scattered once.
     **Source:** Nishita et al. 1993; Bruneton & Neyret 2008, sec. 3; ERRATA of the papers on sun distances.
     """
 

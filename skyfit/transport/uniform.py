@@ -28,7 +28,8 @@ class Uniform(AbstractSolver):
 
     With a scene at 650, 570 and 475 nm and an irradiance of one's own scale this is the article's RGB model; its
     haze is `hoffman_haze`. The reference for errors is the integral through real profiles (`SingleScattering`).
-    **Valid:** sun above the horizon (the sky is black below it); observer on the ground.
+    **Valid:** sun above the horizon (the sky is black below it); observer on the ground. Light scattered once: leaving
+    polarisation out costs its radiance nothing.
     **Source:** Hoffman & Preetham 2002, eq. 1-5 and Sky Color; the stored text of the two-shell sum lacks the plus
     between its two terms.
     """
