@@ -93,7 +93,7 @@ def seconds_per_sky(solver: str, preset: str, geometry: str) -> float:
 def sample() -> dict:
     """The shipped sample sky, made by sasktran2, inverted: truth, value and sigma of each parameter."""
     truth = json.loads((HERE.parent / "data" / "skies" / "sample_truth.json").read_text())["parameters"]
-    # made by a scalar solver, with the haze at the height that is assumed
+    # made by a polarised solver, with the haze at the height and of the polarisation that are assumed
     measurement = skyfit.Measurement(model_error=0.001)
     fit = skyfit.invert(skyfit.read(HERE.parent / "data" / "skies" / "sample.nc"), FREE, measurement=measurement)
     parameters = {
