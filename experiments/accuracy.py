@@ -198,10 +198,9 @@ def made_with(dtype: str) -> dict:
 def sample() -> dict:
     """The shipped sample sky, made by sasktran2, inverted: truth, value and sigma of each parameter."""
     truth = json.loads((HERE.parent / "data" / "skies" / "sample_truth.json").read_text())["parameters"]
-    # made by a scalar solver, with the haze at the height that is assumed
+    # made by a polarised solver, with the haze at the height and of the polarisation that are assumed
     measurement = skyfit.Measurement(model_error=0.001)
-    sky, solver = skyfit.read(HERE.parent / "data" / "skies" / "sample.nc"), skyfit.OrdersOfScattering.normal()
-    fit = skyfit.invert(sky, FREE, solver, measurement=measurement)
+    fit = skyfit.invert(skyfit.read(HERE.parent / "data" / "skies" / "sample.nc"), FREE, measurement=measurement)
     parameters = {
         name: {"truth": truth[TRUTH[name]]["value"], "value": float(fit.values[0, i]), "sigma": float(fit.sigma[0, i])}
         for i, name in enumerate(FREE)

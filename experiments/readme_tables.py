@@ -40,7 +40,7 @@ def tables(record: dict) -> str:
         "standard error is 0.1-0.4 %. The larger of a Rayleigh and an aerosol file is shown. Times are float32 on "
         f"{record['made_with']['machine']}.",
         "",
-        "| the sample sky (sasktran2, 1 % noise) | truth | recovered |",
+        "| the sample sky (sasktran2, polarised, 1 % noise) | truth | recovered |",
         "|---|---|---|",
     ]
     for name, entry in record["sample"]["parameters"].items():

@@ -17,6 +17,12 @@ from skyfit.cli.options import app
 from skyfit.cli.simulate import turbidity_of
 from skyfit.fit import DEFAULT_FREE, PARAMETERS, PARTICLE_FREE, SLOW
 
+# of a haze of spheres, which the skies here have not
+SPHERES = (
+    "fine_fraction", "fine_radius", "coarse_radius", "fine_width", "coarse_width", "refractive_index",
+    "absorption_index",
+)  # fmt: skip
+
 
 WAVELENGTHS = "420:680:20"
 
@@ -121,13 +127,13 @@ def test_fit_json_has_the_keys_of_its_schema(chain):
     assert all(set(entry) == {"value", "unit"} for entry in record["fixed"].values())
     assert set(record["fixed"]) == set(PARAMETERS) - {
         "turbidity", "aerosol_optical_depth", "angstrom_exponent", "asymmetry_second", "forward_fraction",
-        "forward_fraction_slope",
+        "forward_fraction_slope", *SPHERES,
     }  # fmt: skip
     (time,) = record["times"]
     assert set(time) == {
         "time", "sun_zenith_deg", "sun_azimuth_deg", "parameters", "correlation", "result", "steps", "rmse",
         "rmse_unit", "samples", "masked", "reduced_chi_square", "scale", "degrees_of_freedom", "rejected",
-        "undetermined",
+        "undetermined", "haze",
     }  # fmt: skip
     assert time["time"] is None and time["result"] == "successful" and time["undetermined"] == []
     assert (time["sun_zenith_deg"], time["sun_azimuth_deg"]) == pytest.approx((60.0, 180.0))
@@ -469,8 +475,17 @@ BROKEN = {
     "table broken": (("invert", "broken.csv", "--out", "new"), ["broken.csv"]),
     "night": (("invert", "night.csv", "--free", "turbidity", "--solver", "single", "--out", "new"), ["sun", "horizon"]),
     "too many parameters": (
-        ("invert", "timed.csv", "--free", ",".join(list(PARAMETERS)[1:]), "--solver", "single", "--out", "new"),
-        ["12 usable samples", "15 free"],
+        (
+            "invert",
+            "timed.csv",
+            "--free",
+            ",".join([n for n in PARAMETERS if n not in ("turbidity", *SPHERES)]),
+            "--solver",
+            "single",
+            "--out",
+            "new",
+        ),
+        ["12 usable samples", "17 free"],
     ),
     "out is a file": ((*INVERT[:-1], "fit.json", "--free", "turbidity"), ["--out", "fit.json"]),
     "refit out is a file": (("refit", "--out", "fit.json"), ["--out", "fit.json"]),

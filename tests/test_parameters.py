@@ -44,7 +44,8 @@ def test_a_value_that_is_set_is_read_back_and_moves_no_other(name, share):
     parameter = PARAMETERS[name]
     value = parameter.lower + share * (parameter.upper - parameter.lower)
     with jax.enable_x64(True):
-        model = start_model(("forward_fraction",), 9.0e4)
+        # haze of two lobes, or of spheres where the name is one of theirs
+        model = start_model((name, "forward_fraction"), 9.0e4)
         changed = values_of(with_values(model, (name,), [value]), PARAMETERS)
         assert changed.pop(name) == pytest.approx(value, rel=1e-12, abs=1e-12)
         before = values_of(model, PARAMETERS)

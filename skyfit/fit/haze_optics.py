@@ -41,10 +41,11 @@ def haze_optics(fit: Fit) -> dict[str, Derived]:
         return {}
     # in the dtype of this process, whatever that of the fit was
     start = jax.tree.map(lambda leaf: as_float(np.asarray(leaf)), fit.start)
-    values, names = as_float(fit.values), _names(start)
+    values, names = as_float(fit.values), tuple(jax.eval_shape(_numbers, start))
 
     def numbers(row):
-        return jnp.stack([*_numbers(with_values(start, fit.free, row)).values()])
+        by_name = _numbers(with_values(start, fit.free, row))
+        return jnp.stack([by_name[name] for name in names])
 
     found = np.asarray(jax.lax.map(numbers, values), float)
     gradient = np.asarray(jax.lax.map(jax.jacfwd(numbers), values), float)
@@ -59,10 +60,6 @@ def haze_optics(fit: Fit) -> dict[str, Derived]:
 
 def _unit(name: str) -> str:
     return "um" if name.endswith("radius") else "1"
-
-
-def _names(model: SkyModel) -> tuple[str, ...]:
-    return tuple(jax.eval_shape(lambda: _numbers(model)))
 
 
 def _numbers(model: SkyModel) -> dict:
