@@ -17,6 +17,7 @@ from skyfit.cli.options import app
 from skyfit.cli.simulate import turbidity_of
 from skyfit.fit import DEFAULT_FREE, PARAMETERS, PARTICLE_FREE, SLOW
 
+
 # of a haze of spheres, which the skies here have not
 SPHERES = (
     "fine_fraction", "fine_radius", "coarse_radius", "fine_width", "coarse_width", "refractive_index",
@@ -250,7 +251,8 @@ def test_a_file_of_two_times_shares_what_is_slow(skyfit_command, tmp_path):
     assert sum(line.split()[:1] in (["10:00"], ["11:00"]) for line in done.stdout.splitlines()) == 4
     for words in (
         "ozone 350 DU", "prior: angstrom_exponent 1.2 +- 0.5", "smooth: turbidity, change of its logarithm",
-        "SingleScattering, flat, scalar", "times the stated one", "a model error of 0.2 %", "calibration: scale", "prior 0.02",
+        "SingleScattering, flat, scalar", "times the stated one", "a model error of 0.2 %", "calibration: scale",
+        "prior 0.02",
         f"rejected, 11:00: 1 direction, zenith azimuth {bird[0]:.0f} {bird[1]:.0f}",
     ):  # fmt: skip
         assert words in printed, printed

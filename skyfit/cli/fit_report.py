@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..atmosphere import TwoModeAerosol
 from ..fit import Fit, haze_optics, PARAMETERS, time_names
 from ..transport import OrdersOfScattering
 from .options import console, table
@@ -149,9 +150,9 @@ def _about(fit: Fit):
 
 def _haze(fit: Fit):
     """What follows of the optics of spheres, that parameters do not say."""
-    optics = haze_optics(fit)
-    if "effective_radius" not in optics:
+    if not isinstance(fit.start.atmosphere.aerosol, TwoModeAerosol):
         return
+    optics = haze_optics(fit)
 
     def told(name):
         value, sigma, unit = optics[name]
