@@ -62,7 +62,7 @@ def test_the_record_has_the_documented_keys(record, fit):
     assert record["free"] == list(FREE)
     assert record["measurement"] == {
         "relative": None, "floor": None, "calibration": None, "calibration_prior": 0.01,
-        "model_error": fit.measurement.model_error, "field_of_view_deg": 0.0, "loss": "huber", "threshold": 3.0,
+        "model_error": 0.007, "field_of_view_deg": 0.0, "loss": "huber", "threshold": 3.0,
     }  # fmt: skip
     assert record["priors"] == record["smooth"] == {}
     assert keys_of(record["shared"]["parameters"]) == set(SHARED)

@@ -331,4 +331,6 @@ def minimise(rows, point: Point, arguments, limit: Point, linear: int, max_steps
     """
     solver = ChainMarquardt(descent=ChainDescent(limit, linear))
     solution = optx.least_squares(rows, solver, point, arguments, has_aux=True, max_steps=max_steps, throw=False)
-    return solution.value, solution.state.aux, solution.stats["num_steps"], solution.result
+    # the sum of a point and a step to the edge is beyond it by rounding
+    end = jax.tree.map(lambda p, edge: jnp.clip(p, -edge, edge), solution.value, limit)
+    return end, solution.state.aux, solution.stats["num_steps"], solution.result

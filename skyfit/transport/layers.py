@@ -32,10 +32,15 @@ class Resolution(NamedTuple):
     complete: bool = True
     polarised: bool = False
 
-    def few(self) -> "Few":
-        """How finely what polarisation adds is solved: it is smooth, and some per cent of the light."""
+    def few(self, stokes: bool) -> "Few":
+        """How finely polarisation is solved: what it adds to the radiance is smooth, and some per cent of the light.
+
+        Haze gives Q and U (`stokes`) more modes than it gives their share of the radiance.
+        """
         streams = (3 * self.streams + 3) // 4
-        return Few(streams, streams + 2, min(self.modes, max(3, streams // 2)), (2 * self.orders + 2) // 3)
+        moments = streams + 2
+        modes = moments if stokes else max(3, streams // 2)
+        return Few(streams, moments, min(self.modes, modes), (2 * self.orders + 2) // 3)
 
     def check(self, nodes: int, spectral_nodes: int) -> None:
         """A `ValueError` for a count that is too small or modes that the streams cannot carry."""

@@ -99,7 +99,10 @@ class OrdersOfScattering(AbstractSolver):
 
     @eqx.filter_jit
     def stokes(self, atmosphere: Atmosphere, scene: Scene) -> Stokes:
-        """Radiance and linear polarisation, W m^-2 sr^-1 nm^-1, of a solver with `polarised`."""
+        """Radiance and linear polarisation, W m^-2 sr^-1 nm^-1, of a solver with `polarised`.
+
+        Q and U take more modes than `radiance` does, whose last digits (1e-4) may differ from those here.
+        """
         check_on_ground(scene, "OrdersOfScattering")
         if not self.polarised:
             raise ValueError(

@@ -34,18 +34,19 @@ def plain_place(degrees: int, modes: int) -> tuple[np.ndarray, np.ndarray, np.nd
     return (degree + mode) % 2, np.broadcast_to(degree // 2, (degrees, modes)), np.broadcast_to(mode, (degrees, modes))
 
 
-def polarise(layers: Layers, moments, resolution: Resolution, modes: int) -> Polarised:
+def polarise(layers: Layers, moments, resolution: Resolution, modes: int, stokes: bool) -> Polarised:
     r"""The polarised field that a scalar one and the beam excite, and what it does to the radiance in turn.
 
     With the moments I of the scalar field, D of the vector radiance less it, and E, B of Q and U, scattering makes
     $D \leftarrow \beta D + \gamma E$, $E \leftarrow \gamma (I + D) + \alpha E$, $B \leftarrow \zeta B$; the beam
     excites E. D, E and B are smooth: few streams carry them, through the layers of the scalar solution.
 
-    **Arguments:** `moments` of the scalar field, in the layout of `degree_index`, and their `modes`.
+    **Arguments:** `moments` of the scalar field, in the layout of `degree_index`, and their `modes`; `stokes`, whether
+    Q and U are asked for.
     **Source:** the expansion is Siewert's 1982 (Astron. Astrophys. 109, 195) with V neglected; I as a given source is
     ours. Orders as in `solve`; those after the last one are summed as a geometric series.
     """
-    few, matrix, every = resolution.few(), layers.matrix, modes
+    few, matrix, every = resolution.few(stokes), layers.matrix, modes
     assert matrix is not None
     cosine, weight = gauss_legendre(few.streams)
     dtype, count, modes = layers.depth.dtype, min(few.moments, matrix.shape[1]), min(few.modes, modes)

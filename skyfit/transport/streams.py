@@ -103,7 +103,11 @@ def _added(moments, even, odd):
 
 
 def diffuse_field(
-    atmosphere: Atmosphere, scene: Scene, wavelength_nm: Float[Array, " wavelength"], resolution: Resolution
+    atmosphere: Atmosphere,
+    scene: Scene,
+    wavelength_nm: Float[Array, " wavelength"],
+    resolution: Resolution,
+    stokes: bool = False,
 ) -> tuple[Layers, Field]:
     """The layers and the light in them."""
     layers = layered(atmosphere, scene, wavelength_nm, resolution)
@@ -111,7 +115,7 @@ def diffuse_field(
     field = solve(layers, resolution, modes)
     if not resolution.polarised:
         return layers, field
-    polar = polarise(layers, field.moments, resolution, modes)
+    polar = polarise(layers, field.moments, resolution, modes, stokes)
     ground, top = field.ground_flux + polar.ground_flux, field.top_flux + polar.top_flux
     return layers, Field(field.moments, ground, top, polar)
 
@@ -127,7 +131,7 @@ def multiple_scattering(
 
     **Returns:** the radiance alone, or with `stokes` (of a polarised resolution) I, Q and U.
     """
-    layers, field = diffuse_field(atmosphere, scene, wavelength_nm, resolution)
+    layers, field = diffuse_field(atmosphere, scene, wavelength_nm, resolution, stokes)
     count, modes = resolution.for_phases(atmosphere.constituents)
     view = scene.view
     degree = degree_index(count, modes)
