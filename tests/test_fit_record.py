@@ -82,7 +82,7 @@ def test_the_record_has_the_documented_keys(record, fit):
         assert keys_of(entry) == {
             "time", "sun_zenith_deg", "sun_azimuth_deg", "parameters", "correlation", "result", "steps",
             "rmse", "rmse_unit", "samples", "masked", "reduced_chi_square", "scale", "degrees_of_freedom", "rejected",
-            "undetermined",
+            "undetermined", "haze",
         }  # fmt: skip
         assert keys_of(entry["parameters"]) == set(OWN)
         for name in OWN:

@@ -135,7 +135,7 @@ def test_air_has_the_tables(x64, shared, preset, limit):
         assert np.all(errors < [limit, 5e-3, 5e-3]), (albedo, sun, errors)
 
 
-@pytest.mark.parametrize("preset, limit", [("normal", 3e-3), slow("fine", 1e-3)])
+@pytest.mark.parametrize("preset, limits", [("normal", (3e-3, 5e-3, 5e-3)), slow("fine", (1e-3, 1e-3, 1e-3))])
 @pytest.mark.parametrize(
     "truth",
     [
@@ -145,7 +145,8 @@ def test_air_has_the_tables(x64, shared, preset, limit):
         slow(Truth(60.0, 0.4, 1.0, 0.9, 0.7, 0.3, asymmetry_second=-0.1, forward_fraction=0.85, polarisation=0.8)),
     ],
 )
-def test_haze_has_the_stokes_vectors_of_sasktran2(x64, preset, limit, truth):
+def test_haze_has_the_stokes_vectors_of_sasktran2(x64, preset, limits, truth):
+    """Q and U of `normal` within the half per cent of the radiance that it has against the tables of air."""
     pytest.importorskip("sasktran2", reason="sasktran2 is absent")
     zenith, azimuth = directions(truth.sun_zenith_deg)
     # the default haze needs few streams, and few wavelengths do
@@ -153,7 +154,7 @@ def test_haze_has_the_stokes_vectors_of_sasktran2(x64, preset, limit, truth):
     sky = truth.atmosphere(), truth.sun_zenith_deg, zenith, azimuth, colours
     # within 2e-4 of 32 streams and 240 layers
     expected = sasktran2_stokes(*sky, polarised=True, streams=streams)
-    assert np.all(off(stokes_of(solver_of(preset), *sky), expected) < limit)
+    assert np.all(off(stokes_of(solver_of(preset), *sky), expected) < limits)
 
 
 @pytest.mark.parametrize("geometry", GEOMETRIES)

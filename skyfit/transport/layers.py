@@ -35,11 +35,10 @@ class Resolution(NamedTuple):
     def few(self, stokes: bool) -> "Few":
         """How finely polarisation is solved: what it adds to the radiance is smooth, and some per cent of the light.
 
-        Haze gives Q and U (`stokes`) more modes than it gives their share of the radiance.
+        Haze gives Q and U (`stokes`) more moments and modes than it gives their share of the radiance.
         """
         streams = (3 * self.streams + 3) // 4
-        moments = streams + 2
-        modes = moments if stokes else max(3, streams // 2)
+        moments, modes = (2 * streams, 2 * streams) if stokes else (streams + 2, max(3, streams // 2))
         return Few(streams, moments, min(self.modes, modes), (2 * self.orders + 2) // 3)
 
     def check(self, nodes: int, spectral_nodes: int) -> None:
