@@ -272,7 +272,8 @@ def test_the_radiance_is_the_first_of_the_stokes_vector_and_carries_the_irradian
     scene = skyfit.Scene(0.8, 0.2, view, np.array([450.0, 600.0]), irradiance)
     unit = skyfit.Scene(0.8, 0.2, view, np.array([450.0, 600.0]), np.ones(2))
     found, per_unit = (FEW["flat"].stokes(hazy(), s) for s in (scene, unit))
-    np.testing.assert_array_equal(FEW["flat"].radiance(hazy(), scene), found.radiance)
+    # Q and U ask for more moments, which the radiance hardly feels
+    np.testing.assert_allclose(FEW["flat"].radiance(hazy(), scene), found.radiance, rtol=2e-4)
     for part, expected in ((found.radiance, per_unit.radiance), (found.q, per_unit.q), (found.u, per_unit.u)):
         np.testing.assert_allclose(part, expected * irradiance[None], rtol=1e-6)
     np.testing.assert_allclose(found.degree, np.hypot(found.q, found.u) / found.radiance, rtol=1e-5)
