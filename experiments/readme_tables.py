@@ -174,7 +174,7 @@ def speed(record: dict) -> str:
             if not name.startswith("PythonicDISORT")
         ),
         "",
-        f"Times of `experiments/benchmark.py`, float32, {record['made_with']['machine']}. Spherical: normal "
+        f"Times of `experiments/benchmarks/benchmark.py`, float32, {record['made_with']['machine']}. Spherical: normal "
         f"{1e3 * rows['orders normal spherical']['seconds']:.2g} ms a sky,",
         f"{1e3 * ratios['batch of 60, spherical']['seconds_per_sky']:.2g} ms in a batch of 60; the Jacobian to 8 "
         f"parameters {1e3 * rows['jacobian spherical']['seconds']:.2g} ms, "

@@ -1,5 +1,16 @@
 """A differentiable daylight sky: simulate it, fit it, refit Preetham's model."""
 
+from .analytic import (
+    CIEClear as CIEClear,
+    ExtendedPreetham as ExtendedPreetham,
+    fit_perez as fit_perez,
+    Intermediate as Intermediate,
+    overcast_luminance as overcast_luminance,
+    Perez as Perez,
+    Preetham as Preetham,
+    refit as refit,
+    Sunlight as Sunlight,
+)
 from .atmosphere import (
     Aerosol as Aerosol,
     Atmosphere as Atmosphere,
@@ -25,51 +36,42 @@ from .atmosphere import (
     TwoTermHenyeyGreenstein as TwoTermHenyeyGreenstein,
 )
 from .draw import plot as plot
-from .files import (
-    fit_many as fit_many,
-    load as load,
+from .light import daylight as daylight, srgb as srgb, srgb_from_linear as srgb_from_linear, xyY as xyY, xyz as xyz
+from .measured import (
+    Measurement as Measurement,
     read as read,
-    read_coefficients as read_coefficients,
-    read_fits as read_fits,
     read_response as read_response,
-    save as save,
+    Response as Response,
+    Sky as Sky,
     write_sky as write_sky,
 )
-from .fit import (
+from .records import (
+    fit_many as fit_many,
+    load as load,
+    read_coefficients as read_coefficients,
+    read_fits as read_fits,
+    save as save,
+)
+from .retrieve import (
     fisher_information as fisher_information,
     Fit as Fit,
-    fit_perez as fit_perez,
     Fits as Fits,
     haze_optics as haze_optics,
     invert as invert,
-    Measurement as Measurement,
     next_directions as next_directions,
     PARAMETERS as PARAMETERS,
     posterior_covariance as posterior_covariance,
     predict as predict,
-    refit as refit,
-    Response as Response,
     sensitivity as sensitivity,
 )
-from .light import daylight as daylight, srgb as srgb, srgb_from_linear as srgb_from_linear, xyY as xyY, xyz as xyz
 from .scene import (
     Directions as Directions,
     fisheye as fisheye,
     hemisphere as hemisphere,
     Scene as Scene,
     short_sun_position as short_sun_position,
-    Sky as Sky,
     solar_time as solar_time,
     unit_vectors as unit_vectors,
-)
-from .sky import (
-    CIEClear as CIEClear,
-    ExtendedPreetham as ExtendedPreetham,
-    Intermediate as Intermediate,
-    overcast_luminance as overcast_luminance,
-    Perez as Perez,
-    Preetham as Preetham,
-    Sunlight as Sunlight,
 )
 from .transport import (
     AerialPerspective as AerialPerspective,

@@ -11,8 +11,8 @@ import numpy as np
 import xarray
 
 import skyfit
-from skyfit.files import solar_position
-from skyfit.fit import Fitted, start_model, with_values
+from skyfit.measured import solar_position
+from skyfit.retrieve import Fitted, start_model, with_values
 
 
 SOLVER = skyfit.SingleScattering(8, "flat")

@@ -11,11 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import skyfit
-from skyfit.atmosphere import HenyeyGreenstein, RayleighPhase, TwoTermHenyeyGreenstein
+from skyfit.atmosphere import bodhaine_optical_depth, HenyeyGreenstein, RayleighPhase, TwoTermHenyeyGreenstein
 from skyfit.atmosphere.phase import HAZE_POLARISATION
-from skyfit.atmosphere.rayleigh import bodhaine_optical_depth
-from skyfit.fit import SkyModel
 from skyfit.light import extraterrestrial_irradiance
+from skyfit.retrieve import SkyModel
 
 
 EARTH_RADIUS = 6.371e6
@@ -54,7 +53,7 @@ SECOND_LOBE = {"asymmetry_second": (-0.2, 0.3), "forward_fraction": (0.75, 0.95)
 
 @dataclass(frozen=True)
 class Truth:
-    """What goes into a sky: names and units of `skyfit.fit.PARAMETERS`, and the sun's zenith angle in degrees.
+    """What goes into a sky: names and units of `skyfit.retrieve.PARAMETERS`, and the sun's zenith angle in degrees.
 
     Haze of one lobe, of two where `forward_fraction` is below 1.
     """

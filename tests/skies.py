@@ -10,17 +10,8 @@ import pytest
 
 import skyfit
 from skyfit import Sky
-from skyfit.atmosphere import (
-    Aerosol,
-    Exponential,
-    Ground,
-    HenyeyGreenstein,
-    Ozone,
-    Prescribed,
-    Rayleigh,
-    RayleighPhase,
-)
-from skyfit.fit import Fit, Fitted, invert, predict, start_model, with_values
+from skyfit.atmosphere import Aerosol, Exponential, Ground, HenyeyGreenstein, Ozone, Prescribed, Rayleigh, RayleighPhase
+from skyfit.retrieve import Fit, Fitted, invert, predict, start_model, with_values
 from skyfit.scene import angle_between
 from skyfit.transport import DoubleScattering, OrdersOfScattering, Shells, SingleScattering, Uniform
 
@@ -141,7 +132,7 @@ def names_of(tree):
 
 
 def simulated_by(model):
-    """The formula's own skies in place of the simulation of `skyfit.fit.refit`, `[sky, direction, 3]`."""
+    """The formula's own skies in place of the simulation of `skyfit.analytic.refit`, `[sky, direction, 3]`."""
 
     def simulate(solver, flat, atmosphere, view, limit, sun, turbidity):
         rows = []

@@ -9,11 +9,11 @@ import jaxtyping
 import numpy as np
 import pytest
 
+from skyfit.analytic import pixels, Preetham
 from skyfit.draw.dome import place
 from skyfit.light import SRGB_FROM_XYZ, xyY
-from skyfit.numerics import read_table
 from skyfit.scene import Directions, fisheye, hemisphere, Scene, unit_vectors
-from skyfit.sky import pixels, Preetham
+from skyfit.tables import read_table
 
 
 NODES = read_table("cie_daylight_basis.csv")["wavelength_nm"]

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skyfit.files import read, solar_position
+from skyfit.measured import read, solar_position
 
 
 MEASURED = Path(__file__).parents[2] / "shared" / "measured" / "kider2014"

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import xarray
 
-from skyfit.files import atomic, read, read_directions, write_sky
-from skyfit.scene.samples import Sky
+from skyfit.measured import atomic, read, read_directions, Sky, write_sky
 
 
 HEADER = "view_zenith,view_azimuth,wavelength,radiance,sun_zenith,sun_azimuth"

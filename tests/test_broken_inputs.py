@@ -18,7 +18,7 @@ import pytest
 from broken_skies import FILES, FREE, SKIES, SOLVER, TRUTH
 
 import skyfit
-from skyfit.fit import Fit, invert
+from skyfit.retrieve import Fit, invert
 
 
 CASES = SKIES | FILES

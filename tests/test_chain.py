@@ -14,7 +14,7 @@ import pytest
 import scipy.optimize
 from skies import HASTE
 
-from skyfit.fit.chain import (
+from skyfit.numerics.chain import (
     _ChainState,
     Blocks,
     blocks_of,
@@ -30,7 +30,7 @@ from skyfit.fit.chain import (
     solve_chain,
     without,
 )
-from skyfit.fit.solve import result_name
+from skyfit.numerics.least_squares import result_name
 
 
 # times, own unknowns, shared unknowns, whether neighbours are linked

@@ -8,9 +8,9 @@ import pytest
 from scipy.integrate import dblquad, quad
 
 import skyfit
+from skyfit.analytic import CIEClear, Intermediate, overcast_luminance, overcast_zenith_luminance, Preetham
 from skyfit.light import equal_energy
 from skyfit.scene import angle_between
-from skyfit.sky import CIEClear, Intermediate, overcast_luminance, overcast_zenith_luminance, Preetham
 
 
 WAVELENGTH = np.arange(380.0, 781.0, 10.0)

@@ -12,10 +12,10 @@ from skies import fit_of_made_sky
 
 import skyfit
 import skyfit.cli.invert as command
+from skyfit.cli import app
 from skyfit.cli.fit_report import print_fit
-from skyfit.cli.options import app
 from skyfit.cli.simulate import turbidity_of
-from skyfit.fit import DEFAULT_FREE, PARAMETERS, PARTICLE_FREE, SLOW
+from skyfit.retrieve import DEFAULT_FREE, PARAMETERS, PARTICLE_FREE, SLOW
 
 
 # of a haze of spheres, which the skies here have not

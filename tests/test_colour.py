@@ -3,15 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from skyfit.light import (
-    extraterrestrial_irradiance,
-    srgb,
-    srgb_from_xyz,
-    xyY,
-    xyz,
-    xyz_from_xyY,
-)
-from skyfit.numerics.tables import read_table
+from skyfit.light import extraterrestrial_irradiance, srgb, srgb_from_xyz, xyY, xyz, xyz_from_xyY
+from skyfit.tables import read_table
 
 
 colour = pytest.importorskip("colour")

@@ -8,7 +8,7 @@ from scipy.special import k1e
 from skies import EARTH_RADIUS
 
 from skyfit.atmosphere import Exponential, Layered, OzoneLayer
-from skyfit.transport.optical_path import chapman_column, outward_column, slant_column
+from skyfit.transport.columns import chapman_column, outward_column, slant_column
 
 
 COSINES = (0.0, 1e-4, 0.01, 0.03, 0.1, 0.3, 0.7, 1.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skyfit.light import daylight, LUMINOUS_EFFICACY
-from skyfit.numerics import read_table
+from skyfit.tables import read_table
 
 
 colour = pytest.importorskip("colour")

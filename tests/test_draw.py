@@ -14,7 +14,8 @@ from skyfit.draw import plot, plot_skies
 from skyfit.draw.dome import cells, interpolated, pixels, place
 from skyfit.draw.domes import _pictures
 from skyfit.draw.fit_table import LINE, shared_height
-from skyfit.fit import Fit, Response
+from skyfit.measured import Response
+from skyfit.retrieve import Fit
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,6 @@
 """The droplet table against Mie theory and published limits; fog as a constituent."""
 
-import importlib.util
+import importlib
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ import pytest
 
 import skyfit
 from skyfit.atmosphere import droplet_phase, Droplets, HenyeyGreenstein
-from skyfit.numerics import read_table
+from skyfit.tables import read_table
 from skyfit.transport import Shells
 
 
@@ -54,11 +54,9 @@ def test_fog_is_forward_scattering_and_nearly_colourless():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_table_is_what_the_script_computes(checkout, kind):
+def test_the_table_is_what_the_script_computes(kind):
     pytest.importorskip("miepython")
-    spec = importlib.util.spec_from_file_location("droplets_script", checkout / "experiments" / "make_droplet_table.py")
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
+    script = importlib.import_module("experiments.tables.make_droplet_table")
     angle = np.array([0.0, 20.0, 130.0, 180.0])
     phase, efficiency, asymmetry = script.mixture(kind, 600.0, 1.332, angle)
     means, table = read_table("droplet_efficiencies.csv"), read_table("droplets.csv")

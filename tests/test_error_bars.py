@@ -10,11 +10,11 @@ import pytest
 from made_skies import as_sky, by_hand, FREE, HAZE, SOLVER
 
 import skyfit
-from skyfit.fit import with_values
-from skyfit.fit.estimate import estimate
-from skyfit.fit.inversion import Plan
-from skyfit.fit.measurement import error_shapes
-from skyfit.fit.problem import observe
+from skyfit.retrieve import with_values
+from skyfit.retrieve.estimate import estimate
+from skyfit.retrieve.forward import observe
+from skyfit.retrieve.invert import Plan
+from skyfit.retrieve.model_error import error_shapes
 from skyfit.scene import angle_between
 
 

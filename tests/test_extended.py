@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import skyfit
-from skyfit.scene import angle_between, as_float
-from skyfit.sky import ExtendedPreetham
+from skyfit.analytic import ExtendedPreetham
+from skyfit.numerics import as_float
+from skyfit.scene import angle_between
 
 
 @pytest.fixture(params=[False, True], ids=["float32", "float64"])

@@ -9,9 +9,8 @@ import pytest
 import xarray
 from hypothesis import given, settings, strategies as st
 
-from skyfit.files import atomic, read, read_directions, read_response, solar_position, write_sky
-from skyfit.files.units import radiance_factor
-from skyfit.scene.samples import Sky
+from skyfit.measured import atomic, read, read_directions, read_response, Sky, solar_position, write_sky
+from skyfit.measured.units import radiance_factor
 
 
 MEASURED = Path(__file__).parents[2] / "shared" / "measured" / "kider2014"

@@ -11,11 +11,12 @@ import xarray
 from hypothesis import given, HealthCheck, settings, strategies as st
 from skies import fit_of_made_sky, MADE_FREE as FREE, MADE_SHARED as SHARED
 
-import skyfit.files.fit_record as fit_record
+import skyfit.records.fit.write as fit_record
 from skyfit import Aerosol, Atmosphere
 from skyfit.atmosphere import CornetteShanks, HenyeyGreenstein, Layered, Rayleigh
-from skyfit.files import load, read, save, write_prediction
-from skyfit.fit import Fit, Measurement, predict, Response, SkyModel, start_model
+from skyfit.measured import Measurement, read, Response
+from skyfit.records import load, save, write_prediction
+from skyfit.retrieve import Fit, predict, SkyModel, start_model
 from skyfit.transport import OrdersOfScattering
 
 

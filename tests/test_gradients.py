@@ -20,11 +20,7 @@ from skies import (
 )
 
 import skyfit
-from skyfit.atmosphere import (
-    Aerosol,
-    Ozone,
-    Rayleigh,
-)
+from skyfit.atmosphere import Aerosol, Ozone, Rayleigh
 from skyfit.transport import DoubleScattering, OrdersOfScattering, Shells, SingleScattering, Uniform
 
 

@@ -19,11 +19,7 @@ from skies import (
 )
 
 import skyfit
-from skyfit.atmosphere import (
-    Aerosol,
-    Ozone,
-    Rayleigh,
-)
+from skyfit.atmosphere import Aerosol, Ozone, Rayleigh
 
 
 # --- hard cases

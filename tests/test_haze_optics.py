@@ -8,8 +8,8 @@ from made_skies import as_sky, by_hand, EXACT, FREE, PLAIN, SOLVER
 
 import skyfit
 from skyfit.atmosphere import Atmosphere, Ground, Ozone, Rayleigh
-from skyfit.fit import SkyModel
 from skyfit.light import extraterrestrial_irradiance
+from skyfit.retrieve import SkyModel
 
 
 pytestmark = pytest.mark.usefixtures("haste")

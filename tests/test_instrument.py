@@ -8,9 +8,9 @@ import pytest
 from made_skies import as_sky, by_hand, EXACT, FREE, HAZE, PLAIN, SOLVER
 
 import skyfit
-from skyfit.fit import start_model, with_values
 from skyfit.light import extraterrestrial_irradiance
-from skyfit.transport.solver import optics
+from skyfit.retrieve import start_model, with_values
+from skyfit.transport.optics import optics
 
 
 pytestmark = pytest.mark.usefixtures("haste")

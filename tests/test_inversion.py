@@ -10,8 +10,8 @@ import pytest
 from made_skies import as_sky, by_hand, EXACT, FREE, HAZE, SOLVER
 
 import skyfit
-from skyfit.fit import PARAMETERS, start_model, values_of, with_values
-from skyfit.fit.problem import GAS_BANDS_NM
+from skyfit.retrieve import PARAMETERS, start_model, values_of, with_values
+from skyfit.retrieve.sampling import GAS_BANDS_NM
 
 
 pytestmark = pytest.mark.usefixtures("haste")

@@ -10,13 +10,13 @@ import pytest
 from skies import simulated_by
 
 import skyfit
-from skyfit.files import write_coefficients
-from skyfit.fit.joint_fit import _reduced, EXTENDED, LINEAR
+from skyfit.analytic import ExtendedPreetham, Perez
+from skyfit.analytic.joint import _reduced, EXTENDED, LINEAR
+from skyfit.records import write_coefficients
 from skyfit.scene import angle_between
-from skyfit.sky import ExtendedPreetham, Perez
 
 
-module = importlib.import_module("skyfit.fit.refit")
+module = importlib.import_module("skyfit.analytic.refit")
 
 
 def test_seven_numbers_stand_for_all_directions():

@@ -11,8 +11,8 @@ import scipy.optimize
 from made_skies import as_sky, by_hand, EXACT, FREE, HAZE, PLAIN, SOLVER
 
 import skyfit
-from skyfit.fit import start_model, with_values
 from skyfit.light import extraterrestrial_irradiance
+from skyfit.retrieve import start_model, with_values
 
 
 pytestmark = pytest.mark.usefixtures("haste")
@@ -85,8 +85,8 @@ def agree(fit, expected, covariance):
 @pytest.fixture(scope="module")
 def factor(sky):
     """The sun's distance of the day, as the fit has it."""
-    from skyfit.fit.problem import day_of_year
     from skyfit.light import earth_sun_factor
+    from skyfit.measured.samples import day_of_year
 
     return float(earth_sun_factor(day_of_year(sky.time[0])))
 

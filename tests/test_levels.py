@@ -9,9 +9,9 @@ from skies import COLOURS, HASTE, hazy, ONE, slow, SOLVERS, unit_scene, views
 
 import skyfit
 from skyfit.atmosphere import Aerosol, Exponential, Levels, Prescribed, Rayleigh
-from skyfit.numerics import read_table
+from skyfit.tables import read_table
 from skyfit.transport import SingleScattering
-from skyfit.transport.optical_path import EARTH_RADIUS, slant_column
+from skyfit.transport.columns import EARTH_RADIUS, slant_column
 
 
 TABLES = {"air": Levels.us_standard_1976, "haze": Levels.elterman_1968}

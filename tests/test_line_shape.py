@@ -7,8 +7,8 @@ import pytest
 from made_skies import as_sky, by_hand, EXACT, FREE, HAZE, PLAIN, SOLVER
 
 import skyfit
-from skyfit.fit.line_shape import estimate_fwhm
 from skyfit.light import extraterrestrial_irradiance
+from skyfit.measured.quality.line_shape import estimate_fwhm
 
 
 pytestmark = pytest.mark.usefixtures("haste")

@@ -15,10 +15,9 @@ import optimistix as optx
 import pytest
 
 import skyfit
-from skyfit.fit import start_model, with_values
-from skyfit.fit.inversion import simulate
-from skyfit.fit.many import ended, RESULTS
 from skyfit.light import extraterrestrial_irradiance
+from skyfit.retrieve import simulate, start_model, with_values
+from skyfit.retrieve.batch import ended, RESULTS
 
 
 pytestmark = pytest.mark.usefixtures("haste")

@@ -12,7 +12,8 @@ import scipy.optimize
 from made_skies import as_sky, by_hand, FREE, SOLVER
 
 import skyfit
-from skyfit.fit.measurement import error_shapes, robust
+from skyfit.retrieve.loss import robust
+from skyfit.retrieve.model_error import error_shapes
 
 
 LOSSES = ("squares", "huber", "cauchy")

@@ -10,7 +10,7 @@ from skies import HASTE
 
 import skyfit
 from skyfit.atmosphere import RayleighPhase, TwoModeAerosol
-from skyfit.numerics import read_arrays
+from skyfit.tables import read_arrays
 
 
 WAVELENGTH = np.array([355.0, 412.0, 550.0, 870.0])

@@ -1,7 +1,7 @@
 """The solvers against reference radiances of other solvers; energy."""
 
 import argparse
-import importlib.util
+import importlib
 
 import equinox as eqx
 import jax
@@ -16,12 +16,7 @@ from skies import (
 )
 
 import skyfit
-from skyfit.atmosphere import (
-    Exponential,
-    Ground,
-    HenyeyGreenstein,
-    Prescribed,
-)
+from skyfit.atmosphere import Exponential, Ground, HenyeyGreenstein, Prescribed
 from skyfit.transport import OrdersOfScattering, SingleScattering
 
 
@@ -29,11 +24,8 @@ from skyfit.transport import OrdersOfScattering, SingleScattering
 
 
 @pytest.fixture(scope="module")
-def oracle_check(checkout):
-    spec = importlib.util.spec_from_file_location("oracle_check", checkout / "experiments" / "oracle_check.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def oracle_check():
+    return importlib.import_module("experiments.validation.oracle_check")
 
 
 def against_oracle(module, shared, file, solver, preset, geometry, max_sun, max_view=85.0):

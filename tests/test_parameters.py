@@ -7,8 +7,8 @@ from hypothesis import given, strategies as st
 from made_skies import as_sky, FREE, SOLVER
 
 import skyfit
-from skyfit.fit import PARAMETERS, start_model, values_of, with_values
-from skyfit.fit.parameters import check_free, partition
+from skyfit.retrieve import check_free, PARAMETERS, start_model, values_of, with_values
+from skyfit.retrieve.parameters import partition
 
 
 @pytest.mark.parametrize("name", PARAMETERS)

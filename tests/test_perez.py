@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from skyfit.sky import Perez, perez_distribution
+from skyfit.analytic import Perez, perez_distribution
 
 
 CLEAR = (-1.1, -0.28, 5.3, -2.3, 0.24)

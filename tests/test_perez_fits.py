@@ -12,10 +12,10 @@ from scipy.optimize import least_squares
 from skies import HASTE, SINGLE
 
 import skyfit
-from skyfit.fit import fit_perez
-from skyfit.fit.perez_fits import CLEAR_SKY
-from skyfit.scene import angle_between, as_float, hemisphere
-from skyfit.sky import Preetham
+from skyfit.analytic import fit_perez, Preetham
+from skyfit.analytic.perez_fits import CLEAR_SKY
+from skyfit.numerics import as_float
+from skyfit.scene import angle_between, hemisphere
 
 
 COLOUR = (-0.3, -0.2, 0.2, -1.1, 0.03)

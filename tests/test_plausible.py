@@ -7,11 +7,11 @@ import pytest
 from skies import SMALL
 
 import skyfit
-from skyfit.files.sun_agreement import sun_agreement
-from skyfit.fit import Fitted, start_model, with_values
-from skyfit.fit.oddities import _air, examine
-from skyfit.fit.plausible import doubts, poor_fit
 from skyfit.light import extraterrestrial_irradiance
+from skyfit.measured.quality.oddities import _air, examine
+from skyfit.measured.quality.plausibility import doubts, poor_fit
+from skyfit.measured.quality.sun_agreement import sun_agreement
+from skyfit.retrieve import Fitted, start_model, with_values
 
 
 NM = np.array([400.0, 500.0, 650.0, 870.0])

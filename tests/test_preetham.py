@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from skyfit.sky import Preetham
+from skyfit.analytic import Preetham
 
 
 @pytest.fixture(params=[False, True], ids=["float32", "float64"])

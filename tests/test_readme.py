@@ -1,6 +1,6 @@
 """The README says what is measured and its code runs."""
 
-import importlib.util
+import importlib
 import json
 import re
 import subprocess
@@ -15,10 +15,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_figures_are_those_of_the_result_file():
-    spec = importlib.util.spec_from_file_location("readme_tables", ROOT / "experiments" / "readme_tables.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = importlib.import_module("experiments.readme_tables")
     assert module.updated(README, json.loads(module.RESULT.read_text())) == README
 
 

@@ -5,7 +5,7 @@ import pytest
 from foreign_skies import oracle_skies, random_truths, sasktran2_radiance, sasktran2_sky, Truth, with_noise
 
 import skyfit
-from skyfit.fit import DEFAULT_FREE
+from skyfit.retrieve import DEFAULT_FREE
 
 
 FREE = ("aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo", "asymmetry", "ground_albedo")

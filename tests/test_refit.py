@@ -9,9 +9,10 @@ import pytest
 from skies import simulated_by
 
 import skyfit
-from skyfit.files import read_coefficients, write_coefficients
-from skyfit.fit import model_xyz, preetham_atmosphere
-from skyfit.scene import angle_between, as_float
+from skyfit.analytic import model_xyz, preetham_atmosphere
+from skyfit.numerics import as_float
+from skyfit.records import read_coefficients, write_coefficients
+from skyfit.scene import angle_between
 
 
 MODELS = ("published", "refitted", "best five")
@@ -188,8 +189,8 @@ def test_skies_of_the_formula_itself_are_met(monkeypatch, changed):
     """Skies by Preetham's own formula instead of a transport solver: the refit has nothing left over."""
     truth = changed_preetham() if changed else skyfit.Preetham.published()
 
-    # as attribute of skyfit.fit, `refit` is the function
-    monkeypatch.setattr(importlib.import_module("skyfit.fit.refit"), "_simulate", simulated_by(truth))
+    # as attribute of skyfit.analytic, `refit` is the function
+    monkeypatch.setattr(importlib.import_module("skyfit.analytic.refit"), "_simulate", simulated_by(truth))
     result = skyfit.refit(FAST, sun_zenith_deg=SUNS, turbidity=HAZES, directions=60)
     assert set(result.result.values()) == {"successful"}
     assert result.fitted.simulated[..., 1].min() > 0.0

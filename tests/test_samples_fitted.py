@@ -8,8 +8,9 @@ import pytest
 from made_skies import as_sky, by_hand, EXACT, FREE, HAZE, PLAIN, SOLVER
 
 import skyfit
-from skyfit.fit import Fitted, start_model, station_pressure, time_names
-from skyfit.fit.problem import day_of_year
+from skyfit.measured import station_pressure, time_names
+from skyfit.measured.samples import day_of_year
+from skyfit.retrieve import Fitted, start_model
 
 
 pytestmark = pytest.mark.usefixtures("haste")

@@ -14,8 +14,8 @@ from skies import HASTE, SMALL
 import skyfit
 from skyfit.atmosphere import Exponential, Ground, Ozone, Rayleigh
 from skyfit.draw import plot_sensitivity
-from skyfit.fit import Choice, PARAMETERS, SkyModel
-from skyfit.fit.parameters import Instrument
+from skyfit.retrieve import Choice, PARAMETERS, SkyModel
+from skyfit.retrieve.model import Instrument
 
 
 SOLVER = skyfit.SingleScattering(8, "flat")

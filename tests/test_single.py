@@ -20,15 +20,7 @@ from skies import (
 )
 
 import skyfit
-from skyfit.atmosphere import (
-    Exponential,
-    Ground,
-    HenyeyGreenstein,
-    Layered,
-    Prescribed,
-    Rayleigh,
-    RayleighPhase,
-)
+from skyfit.atmosphere import Exponential, Ground, HenyeyGreenstein, Layered, Prescribed, Rayleigh, RayleighPhase
 from skyfit.transport import SingleScattering
 
 

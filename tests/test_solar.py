@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skyfit.light import earth_sun_factor, extraterrestrial_irradiance, SUN_SOLID_ANGLE
-from skyfit.numerics.tables import read_table
+from skyfit.tables import read_table
 
 
 @pytest.fixture(autouse=True)

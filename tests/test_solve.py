@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from skyfit.fit.solve import covariance, least_squares, LOGISTIC_LIMIT, result_name
-from skyfit.sky import Perez
+from skyfit.analytic import Perez
+from skyfit.numerics.least_squares import covariance, least_squares, LOGISTIC_LIMIT, result_name
 
 
 TRUTH = (-1.1, -0.28, 5.3, -2.3, 0.24)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import skyfit
+from skyfit.analytic import Sunlight, Transmittances
 from skyfit.atmosphere import angstrom_coefficient
 from skyfit.light import SUN_SOLID_ANGLE
-from skyfit.numerics import read_table
 from skyfit.scene import relative_airmass
-from skyfit.sky import Sunlight, Transmittances
+from skyfit.tables import read_table
 
 
 VISIBLE = np.arange(380.0, 781.0, 10.0)

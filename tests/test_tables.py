@@ -5,7 +5,7 @@ import importlib
 import numpy as np
 import pytest
 
-from skyfit.numerics.tables import data_path, read_table
+from skyfit.tables import data_path, read_table
 
 
 TABLES = [
@@ -49,7 +49,7 @@ def test_read_table_is_read_only_and_named():
     ],
 )
 def test_read_table_names_file_row_column(tmp_path, monkeypatch, text, message):
-    from skyfit.numerics import tables
+    from skyfit import tables
 
     path = tmp_path / f"bad{abs(hash(text))}.csv"
     path.write_text(text)

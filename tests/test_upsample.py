@@ -98,6 +98,13 @@ class Harmonics(AbstractSolver):
     def fluxes(self, atmosphere, scene):
         raise NotImplementedError
 
+    @property
+    def model_error(self):
+        return 0.0
+
+    def coarser(self):
+        return self, self
+
 
 def test_a_smooth_sky_is_interpolated_to_rounding_from_half_its_grid(x64):
     isotropic = Prescribed(jnp.ones(3), Exponential(8000.0), HenyeyGreenstein(0.0))

@@ -1,8 +1,5 @@
 from .aerosol import Aerosol as Aerosol
-from .atmosphere import (
-    Atmosphere as Atmosphere,
-    Ground as Ground,
-)
+from .atmosphere import Atmosphere as Atmosphere, Ground as Ground
 from .constituent import AbstractConstituent as AbstractConstituent, Prescribed as Prescribed
 from .droplets import droplet_phase as droplet_phase, Droplets as Droplets
 from .hoffman import hoffman_haze as hoffman_haze, HOFFMAN_WAVELENGTHS as HOFFMAN_WAVELENGTHS

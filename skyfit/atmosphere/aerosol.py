@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..scene import as_float
+from ..numerics import as_float
 from .constituent import AbstractConstituent
 from .phase import AbstractPhase, HenyeyGreenstein, REFERENCE_WAVELENGTH
 from .profile import AbstractProfile, Exponential, HAZE_SCALE_HEIGHT

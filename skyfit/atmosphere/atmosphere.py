@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..scene import as_float
+from ..numerics import as_float
 from .aerosol import Aerosol
 from .constituent import AbstractConstituent
 from .ozone import Ozone

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..scene import as_float
+from ..numerics import as_float
 from .phase import AbstractPhase
 from .profile import AbstractProfile
 

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics import hat_weights, read_table
-from ..scene import as_float
+from ..numerics import as_float, hat_weights
+from ..tables import read_table
 from .constituent import AbstractConstituent
 from .phase import AbstractPhase, REFERENCE_WAVELENGTH, Tabulated
 from .profile import Layered

@@ -5,8 +5,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
-from ..numerics import hat_weights, read_table
-from ..scene import as_float
+from ..numerics import as_float, hat_weights
+from ..tables import read_table
 from .constituent import Prescribed
 from .phase import HenyeyGreenstein
 from .profile import Exponential

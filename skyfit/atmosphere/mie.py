@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics import chebyshev_weights, gauss_legendre, read_arrays
-from ..scene import as_float
+from ..numerics import as_float, chebyshev_weights, gauss_legendre
+from ..tables import read_arrays
 from .constituent import AbstractConstituent
 from .phase import AbstractPhase, REFERENCE_WAVELENGTH
 from .profile import AbstractProfile, Exponential, HAZE_SCALE_HEIGHT
@@ -211,7 +211,7 @@ class TwoModeAerosol(AbstractConstituent):
     radius over the wavelength slopes die away. F34 is left out. Dust is not made of spheres: behind 90 degrees from
     the sun its phase function and polarisation are other than these.
 
-    **Source:** Mie theory, experiments/make_mie_tables.py. Two modes and one index as in Dubovik & King 2000,
+    **Source:** Mie theory, experiments/tables/make_mie_tables.py. Two modes and one index as in Dubovik & King 2000,
     J. Geophys. Res. 105, 20673. Defaults: Dubovik et al. 2002, J. Atmos. Sci. 59, 590, Table 1, urban-industrial
     aerosol at Goddard Space Flight Center for an optical depth of 0.3 at 440 nm; its volumes give a fine fraction of
     0.91 here.

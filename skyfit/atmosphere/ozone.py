@@ -6,8 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..numerics import read_table
-from ..scene import as_float
+from ..numerics import as_float
+from ..tables import read_table
 from .constituent import AbstractConstituent
 from .profile import AbstractProfile, OzoneLayer
 

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics import associated_legendre, gauss_legendre, hat_weights, read_table, spin_legendre
-from ..scene import as_float
+from ..numerics import as_float, associated_legendre, gauss_legendre, hat_weights, spin_legendre
+from ..tables import read_table
 
 
 # nm, where the aerosol optical depth and the turbidity are stated (Preetham 1999, sec. 2.1), and all slopes begin

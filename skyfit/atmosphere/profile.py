@@ -9,8 +9,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ..numerics import hat_weights, phi1, phi_functions, read_table
-from ..scene import as_float
+from ..numerics import as_float, hat_weights, phi1, phi_functions
+from ..tables import read_table
 
 
 # m, Preetham 1999, A.4 (0.8333 /km)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..scene import as_float
+from ..numerics import as_float
 from .constituent import AbstractConstituent
 from .phase import AbstractPhase, RayleighPhase
 from .profile import AbstractProfile, Exponential

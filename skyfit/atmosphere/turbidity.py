@@ -6,7 +6,7 @@ from typing import Literal
 import jax.numpy as jnp
 import numpy as np
 
-from ..numerics import read_table
+from ..tables import read_table
 from .phase import REFERENCE_WAVELENGTH
 from .profile import HAZE_SCALE_HEIGHT
 from .rayleigh import AIR_OPTICAL_LENGTH, bodhaine_optical_depth

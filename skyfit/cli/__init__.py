@@ -1,1 +1,2 @@
-from .main import app as app, main as main
+from .main import main as main
+from .options import app as app

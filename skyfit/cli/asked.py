@@ -3,19 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..files import read_response
-from ..fit import (
-    check_free,
-    PARAMETERS,
-    PARTICLE_FREE,
-    Response,
-    SkyModel,
-    SLOW,
-    start_model,
-    station_pressure,
-    with_values,
-)
-from ..scene import Sky
+from ..measured import read_response, Response, Sky, station_pressure
+from ..retrieve import check_free, PARAMETERS, PARTICLE_FREE, SkyModel, SLOW, start_model, with_values
 from .options import in_range
 
 

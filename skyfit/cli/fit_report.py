@@ -3,7 +3,8 @@
 import numpy as np
 
 from ..atmosphere import TwoModeAerosol
-from ..fit import Fit, haze_optics, PARAMETERS, time_names
+from ..measured import time_names
+from ..retrieve import Fit, haze_optics, PARAMETERS
 from ..transport import OrdersOfScattering
 from .options import console, table
 
@@ -128,7 +129,7 @@ def _open_ends(fit: Fit):
 
 def _about(fit: Fit):
     known = "stated" if fit.measurement.stated(fit.sky) else "assumed"
-    error = 100.0 * fit.measurement.allowed_error(fit.solver)
+    error = 100.0 * fit.model_error
     noise = f"noise, {_span(fit.scale, '.2g')} times the {known} one"
     yield f"model: {_solver(fit)}"
     yield f"sigma: {noise}, and a model error of {error:.2g} % (by model)"

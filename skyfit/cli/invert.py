@@ -7,9 +7,9 @@ import numpy as np
 import typer
 
 from ..draw import plot
-from ..files import load, read, save, write_prediction
-from ..fit import DEFAULT_FREE, invert, Measurement, PARAMETERS, predict
-from ..scene import Sky
+from ..measured import Measurement, read, Sky
+from ..records import load, save, write_prediction
+from ..retrieve import DEFAULT_FREE, invert, PARAMETERS, predict
 from .asked import names_in, priors_of, response_of, shared_of, smooth_of, start_of
 from .fit_report import print_fit
 from .options import (
@@ -27,7 +27,6 @@ from .options import (
     PresetName,
     PresetOption,
     progress,
-    SolverName,
     SolverOption,
 )
 
@@ -40,7 +39,7 @@ FreeOption = Annotated[
     str, typer.Option(help=f"with commas: particles (sizes and index of spheres) or of {', '.join(PARAMETERS)}")
 ]
 DEFAULT_FREE_TEXT = ",".join(DEFAULT_FREE)
-_USUAL, _USUAL_SOLVER = Measurement(), (SolverName.orders, PresetName.normal)
+_USUAL, _USUAL_SOLVER = Measurement(), ("orders", PresetName.normal)
 # degrees; `Measurement` ends at half a radian
 _WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 
@@ -83,7 +82,7 @@ def invert_command(
     measured = _read(sky, latitude, longitude, utc_offset, altitude, fwhm)
     start = start_of(names, fix or [], measured)
     common = shared_of(names, shared, independent, tuple(smoothed), len(measured.time))
-    vector = response is None and solver is SolverName.orders if polarised is None else polarised
+    vector = response is None and solver == "orders" if polarised is None else polarised
     last = make_solver(solver, preset, geometry, vector)
     first = None if (solver, preset) == _USUAL_SOLVER else make_solver(solver, PresetName.draft, geometry, vector)
     check_folder(out)

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from ..atmosphere import AbstractPhase, Aerosol, Atmosphere, Exponential, Ground, Ozone, Rayleigh
-from ..transport import AbstractSolver, DoubleScattering, OrdersOfScattering, Shells, SingleScattering, Uniform
+from ..transport import AbstractSolver, SOLVERS
 
 
 app = typer.Typer(
@@ -23,16 +23,6 @@ app = typer.Typer(
 )  # fmt: skip
 console = Console()
 notices = Console(stderr=True)
-
-
-class SolverName(StrEnum):
-    """Transport solvers by their short names."""
-
-    orders = "orders"
-    double = "double"
-    single = "single"
-    shells = "shells"
-    uniform = "uniform"
 
 
 class PresetName(StrEnum):
@@ -59,7 +49,11 @@ class LossName(StrEnum):
 
 
 SolverOption = Annotated[
-    SolverName, typer.Option(help="all orders of scattering, two, one, Klassen's shells, Hoffman's uniform air")
+    str,
+    typer.Option(
+        metavar=f"[{'|'.join(SOLVERS)}]",
+        help="all orders of scattering, two, one, Klassen's shells, Hoffman's uniform air",
+    ),
 ]
 PresetOption = Annotated[PresetName, typer.Option(help="resolution of the solver")]
 GeometryOption = Annotated[GeometryName, typer.Option(help="curved paths, or a flat Earth")]
@@ -76,21 +70,14 @@ PolarisedOption = Annotated[
 LineShape = Annotated[float | None, typer.Option(help="Gaussian line shape of the instrument, nm")]
 
 
-def make_solver(
-    name: SolverName, preset: PresetName, geometry: GeometryName, polarised: bool = False
-) -> AbstractSolver:
+def make_solver(name: str, preset: PresetName, geometry: GeometryName, polarised: bool = False) -> AbstractSolver:
     """The solver of some words; only `orders` may be polarised."""
-    if polarised and name is not SolverName.orders:
-        raise ValueError(f"`--polarised` must be left out with `--solver {name.value}`: only orders knows polarisation")
-    kinds = {
-        SolverName.orders: OrdersOfScattering,
-        SolverName.double: DoubleScattering,
-        SolverName.single: SingleScattering,
-        SolverName.shells: Shells,
-        SolverName.uniform: Uniform,
-    }
+    if name not in SOLVERS:
+        raise ValueError(f"`--solver` must be one of {', '.join(SOLVERS)}, got {name!r}")
+    if polarised and name != "orders":
+        raise ValueError(f"`--polarised` must be left out with `--solver {name}`: only orders knows polarisation")
     settings = {"polarised": True} if polarised else {}
-    return getattr(kinds[name], preset.value)(geometry.value, **settings)
+    return getattr(SOLVERS[name], preset.value)(geometry.value, **settings)
 
 
 def make_atmosphere(

@@ -7,10 +7,10 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from ..analytic import Comparison, model_xyz, Refit, refit
 from ..atmosphere import AbstractPhase, HenyeyGreenstein, SEA_LEVEL_PRESSURE, Tabulated, turbidity_to_optical_depth
 from ..draw import plot_refit, plot_skies
-from ..files import write_coefficients
-from ..fit import Comparison, model_xyz, Refit, refit
+from ..records import write_coefficients
 from .options import (
     AngstromExponent,
     app,
@@ -30,7 +30,6 @@ from .options import (
     Pressure,
     progress,
     SingleScatteringAlbedo,
-    SolverName,
     SolverOption,
     table,
 )
@@ -80,7 +79,7 @@ def refit_command(
     ground_albedo: GroundAlbedo = 0.1,
     ozone: OzoneColumn = 300.0,
     pressure: Pressure = SEA_LEVEL_PRESSURE,
-    solver: SolverOption = SolverName.orders,
+    solver: SolverOption = "orders",
     preset: PresetOption = PresetName.normal,
     geometry: GeometryOption = GeometryName.spherical,
     flat_below: Annotated[

@@ -6,6 +6,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from ..analytic import AbstractAnalyticSky, ExtendedPreetham, Preetham
+from ..analytic.extended import SUN_ZENITH_RANGE_DEG
 from ..atmosphere import (
     HenyeyGreenstein,
     meteorological_range as meteorological_range_of,
@@ -14,10 +16,9 @@ from ..atmosphere import (
     turbidity_from_range,
     turbidity_to_optical_depth,
 )
-from ..files import read_coefficients, read_directions, write_sky
-from ..scene import Directions, hemisphere, Scene, Sky
-from ..sky import AbstractAnalyticSky, ExtendedPreetham, Preetham
-from ..sky.extended import SUN_ZENITH_RANGE_DEG
+from ..measured import read_directions, Sky, write_sky
+from ..records import read_coefficients
+from ..scene import Directions, hemisphere, Scene
 from .options import (
     AngstromExponent,
     app,
@@ -38,7 +39,6 @@ from .options import (
     Pressure,
     progress,
     SingleScatteringAlbedo,
-    SolverName,
     SolverOption,
 )
 
@@ -123,7 +123,7 @@ def simulate(
     coefficients: Annotated[
         str | None, typer.Option(help="no solver but an analytic sky: published, extended or a coefficients.json")
     ] = None,
-    solver: SolverOption = SolverName.orders,
+    solver: SolverOption = "orders",
     preset: PresetOption = PresetName.normal,
     geometry: GeometryOption = GeometryName.spherical,
     polarised: PolarisedOption = None,
@@ -146,7 +146,7 @@ def simulate(
     scene = Scene.from_degrees(sun_zenith, view, spectrum, sun_azimuth, fwhm_nm=fwhm, irradiance=irradiance)
     with progress("simulating"):
         if analytic is None:
-            vector = solver is SolverName.orders if polarised is None else polarised
+            vector = solver == "orders" if polarised is None else polarised
             radiance = np.asarray(make_solver(solver, preset, geometry, vector).radiance(atmosphere, scene), float)
         else:
             radiance = np.asarray(analytic.radiance(haze, scene), float)

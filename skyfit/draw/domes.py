@@ -4,9 +4,11 @@ import os
 
 import numpy as np
 
-from ..fit import Fit, time_names
 from ..light import srgb_from_xyz
-from ..scene import as_float, Directions
+from ..measured import time_names
+from ..numerics import as_float
+from ..retrieve import Fit
+from ..scene import Directions
 from .dome import cells, draw_dome, interpolated, place
 from .fit_table import draw_shared, draw_table, lines, shared_height, table_height
 from .page import figure_maker, write_figure

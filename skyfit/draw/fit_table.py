@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..fit import Fit, PARAMETERS
+from ..retrieve import Fit, PARAMETERS
 
 
 # inches, the height of a line and the width of an entry of what all times share

@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from ..files.writing import atomic
+from ..measured import atomic
 
 
 def figure_maker(path: str | os.PathLike):

@@ -8,7 +8,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, Real
 
 from ..numerics import hat_weights
-from ..numerics.tables import read_table
+from ..tables import read_table
 from .colour import observer_weights
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
-from ..numerics.tables import read_table
+from ..tables import read_table
 
 
 # pi (R / r0)^2: nominal solar radius of IAU 2015 B3, astronomical unit of IAU 2012 B2
@@ -105,3 +105,6 @@ def earth_sun_factor(day_of_year: Real[ArrayLike, "*time"]) -> Float[Array, "*ti
         + 0.000719 * jnp.cos(2.0 * day)
         + 0.000077 * jnp.sin(2.0 * day)
     )
+
+
+SPECTRUM_NM = (300.0, 1100.0)

@@ -1,9 +1,5 @@
-from .guarded import (
-    exp_mean as exp_mean,
-    phi1 as phi1,
-    phi_functions as phi_functions,
-    safe_sqrt as safe_sqrt,
-)
+from .dtype import as_float as as_float
+from .guarded import exp_mean as exp_mean, phi1 as phi1, phi_functions as phi_functions, safe_sqrt as safe_sqrt
 from .interpolation import (
     chebyshev_nodes as chebyshev_nodes,
     chebyshev_weights as chebyshev_weights,
@@ -11,4 +7,3 @@ from .interpolation import (
 )
 from .legendre import associated_legendre as associated_legendre, spin_legendre as spin_legendre
 from .quadrature import gauss_legendre as gauss_legendre
-from .tables import data_path as data_path, read_arrays as read_arrays, read_table as read_table

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..light import earth_sun_factor, extraterrestrial_irradiance
-from .directions import as_float, Directions
+from ..numerics import as_float
+from .directions import Directions
 
 
 def _height(value):

@@ -46,7 +46,7 @@ def short_sun_position(
     $\tan\phi_s = \frac{-\cos\delta \sin(\pi t / 12)}{-\cos l \sin\delta - \sin l \cos\delta \cos(\pi t / 12)}$
     west of south.
 
-    Files and the command line use `skyfit.files.solar_position`, NREL's algorithm, good to 0.0003 degrees.
+    Files and the command line use `skyfit.measured.solar_position`, NREL's algorithm, good to 0.0003 degrees.
 
     **Arguments:** `solar_hours` t as `solar_time` gives them; `day_of_year` J; `latitude` l, radians, north
     positive; shapes that broadcast.

@@ -1,15 +1,19 @@
-from .aerial import AerialPerspective as AerialPerspective, constant_ambient as constant_ambient
-from .double import DoubleScattering as DoubleScattering
-from .orders import OrdersOfScattering as OrdersOfScattering
-from .scattered import scattered_light as scattered_light
-from .shells import Shells as Shells
-from .single import SingleScattering as SingleScattering
-from .solver import (
+from .air import (
+    AerialPerspective as AerialPerspective,
+    constant_ambient as constant_ambient,
+    scattered_light as scattered_light,
+)
+from .contract import (
     AbstractSolver as AbstractSolver,
     Fluxes as Fluxes,
     Geometry as Geometry,
     Path as Path,
     Stokes as Stokes,
 )
+from .double import DoubleScattering as DoubleScattering
+from .orders import OrdersOfScattering as OrdersOfScattering
+from .registry import SOLVERS as SOLVERS
+from .shells import Shells as Shells
+from .single import SingleScattering as SingleScattering
 from .uniform import Uniform as Uniform
 from .upsample import upsample as upsample, Upsampled as Upsampled

@@ -6,11 +6,11 @@ from jaxtyping import Array, Float
 
 from ..atmosphere import Atmosphere, Ground
 from ..scene import Scene
-from .layers import Resolution
-from .orders import streamed_light
-from .single import scatterer_indices, transmitted_sun
-from .solver import AbstractSolver, check_geometry, check_on_ground, Fluxes, Geometry, optics
-from .streams import diffuse_field
+from .contract import AbstractSolver, check_geometry, check_on_ground, Fluxes, Geometry, SCALAR_ERROR
+from .optics import optics, scatterer_indices, transmitted_sun
+from .orders.layering import Resolution
+from .orders.solver import streamed_light
+from .orders.streams import diffuse_field
 
 
 class DoubleScattering(AbstractSolver):
@@ -54,6 +54,13 @@ class DoubleScattering(AbstractSolver):
     def fine(cls, geometry: Geometry = "spherical") -> "DoubleScattering":
         """16 streams, every wavelength."""
         return cls(streams=16, modes=24, levels=100, nodes=64, spectral_nodes=0, geometry=geometry)
+
+    @property
+    def model_error(self) -> float:
+        return SCALAR_ERROR
+
+    def coarser(self) -> tuple[AbstractSolver, AbstractSolver]:
+        return self, self
 
     @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:

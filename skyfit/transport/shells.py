@@ -10,9 +10,10 @@ from jaxtyping import Array, Float
 from ..atmosphere import AbstractConstituent, Atmosphere
 from ..numerics import exp_mean, gauss_legendre, safe_sqrt
 from ..scene import above_horizon, haversine, Scene
-from .optical_path import EARTH_RADIUS, height_gain, length_scale, MIN_COSINE, slant_column
-from .single import fluxes_by_quadrature, scatterer_indices
-from .solver import AbstractSolver, check_geometry, check_on_ground, Fluxes, Geometry, optics, Path
+from .columns import EARTH_RADIUS, height_gain, length_scale, MIN_COSINE, slant_column
+from .contract import AbstractSolver, check_geometry, check_on_ground, Fluxes, Geometry, Path, SCALAR_ERROR
+from .dome import fluxes_by_quadrature
+from .optics import optics, scatterer_indices
 
 
 # m^-1: a constituent that is absent at the ground gets a layer of 1000 km, not of infinite thickness
@@ -227,6 +228,13 @@ class Shells(AbstractSolver):
     def fine(cls, geometry: Geometry = "spherical") -> "Shells":
         """48 nodes."""
         return cls(nodes=48, geometry=geometry)
+
+    @property
+    def model_error(self) -> float:
+        return SCALAR_ERROR
+
+    def coarser(self) -> tuple[AbstractSolver, AbstractSolver]:
+        return self, self
 
     @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:

@@ -1,20 +1,18 @@
 """Single scattering: sunlight that is scattered once on its way to an observer, from the ground to space."""
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractConstituent, Atmosphere, Layered
-from ..numerics import gauss_legendre
-from ..scene import Directions, Scene
-from .optical_path import slant_column
-from .solver import AbstractSolver, check_geometry, Fluxes, Geometry, optics, Path, Stokes
-from .view_path import end_points, eye_column, lit_points, Views, views_of
+from ..scene import Scene
+from .columns import slant_column
+from .contract import AbstractSolver, check_geometry, Fluxes, Geometry, Path, SCALAR_ERROR, Stokes
+from .dome import fluxes_by_quadrature
+from .optics import optics, scatterer_indices, transmitted_sun
+from .views import end_points, eye_column, lit_points, Views, views_of
 
 
 def single_scattering(
@@ -108,41 +106,10 @@ def _dimmed_tangent(primals, tangents):
 _dimmed.defjvp(_dimmed_tangent, symbolic_zeros=True)
 
 
-def scatterer_indices(constituents: tuple[AbstractConstituent, ...]) -> tuple[int, ...]:
-    """Places of the constituents that scatter."""
-    return tuple(i for i, c in enumerate(constituents) if c.phase is not None)
-
-
 def _edges(constituents):
     """Heights (m) at which the density of a scatterer jumps, increasing."""
     layered = [c.profile.edges[1:] for c in constituents if c.phase is not None and isinstance(c.profile, Layered)]
     return jnp.sort(jnp.concatenate([jnp.zeros(0), *layered]))
-
-
-def transmitted_sun(
-    constituents: tuple[AbstractConstituent, ...],
-    scene: Scene,
-    extinction: Float[Array, "constituent wavelength"],
-    geometry: Geometry,
-) -> Float[Array, " wavelength"]:
-    """Direct transmittance from space to the ground toward the sun; 0 with the sun below the horizon."""
-    cosine = jnp.cos(scene.sun_zenith)
-    return jnp.where(cosine > 0.0, jnp.exp(-sun_depth(constituents, scene, extinction, geometry)), 0.0)
-
-
-def sun_depth(
-    constituents: tuple[AbstractConstituent, ...],
-    scene: Scene,
-    extinction: Float[Array, "constituent wavelength"],
-    geometry: Geometry,
-) -> Float[Array, " wavelength"]:
-    """The optical depth from the ground toward the sun; below the horizon, past the tangent point."""
-    cosine = jnp.cos(scene.sun_zenith)
-    ground = jnp.zeros_like(cosine)
-    depth = jnp.zeros(extinction.shape[1], extinction.dtype)
-    for c, vertical in zip(constituents, extinction, strict=True):
-        depth = depth + slant_column(c.profile, ground, cosine, geometry) * vertical
-    return depth
 
 
 class SingleScattering(AbstractSolver):
@@ -181,6 +148,13 @@ class SingleScattering(AbstractSolver):
     def fine(cls, geometry: Geometry = "spherical") -> "SingleScattering":
         """64 nodes, for thick haze."""
         return cls(nodes=64, geometry=geometry)
+
+    @property
+    def model_error(self) -> float:
+        return SCALAR_ERROR
+
+    def coarser(self) -> tuple[AbstractSolver, AbstractSolver]:
+        return self, self
 
     @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
@@ -233,31 +207,3 @@ def _light(solver: SingleScattering, atmosphere: Atmosphere, scene: Scene, stoke
     extinction = optics(constituents, scene.wavelength_nm).extinction
     once = single_scattering(constituents, scene, extinction, solver.nodes, solver.geometry, stokes)
     return once * scene.solar_irradiance[None, None]
-
-
-def fluxes_by_quadrature(
-    radiance: Callable[[Scene], Array],
-    atmosphere: Atmosphere,
-    scene: Scene,
-    sunlight: Float[Array, " wavelength"],
-    rings: int = 8,
-) -> Fluxes:
-    """Irradiance on the ground of a sky that is known by its radiance.
-
-    **Arguments:** `radiance` of a scene, W m^-2 sr^-1 nm^-1; `sunlight` at the ground normal to its beam,
-    W m^-2 nm^-1; `rings` of the quadrature. **Returns:** `Fluxes` of an observer on the ground.
-    """
-    view, weight = dome(rings, 16)
-    sky = Scene(scene.sun_zenith, scene.sun_azimuth, view, scene.wavelength_nm, scene.solar_irradiance)
-    diffuse = jnp.asarray(weight, scene.wavelength_nm.dtype) @ radiance(sky)
-    direct = sunlight * jnp.maximum(jnp.cos(scene.sun_zenith), 0.0)
-    return Fluxes(direct, diffuse, atmosphere.ground.reflectance(scene.wavelength_nm) * (direct + diffuse))
-
-
-def dome(rings: int, azimuths: int) -> tuple[Directions, np.ndarray]:
-    """A product rule over the sky; weights are solid angle times cosine."""
-    cosine, weight = gauss_legendre(rings)
-    azimuth = 2.0 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
-    zenith, azimuth = np.meshgrid(np.arccos(cosine), azimuth, indexing="ij")
-    weights = np.repeat(2.0 * np.pi / azimuths * weight * cosine, azimuths)
-    return Directions(zenith.ravel(), azimuth.ravel()), weights

@@ -9,8 +9,9 @@ from jaxtyping import Array, Float
 from ..atmosphere import AbstractConstituent, Atmosphere
 from ..numerics import phi1
 from ..scene import above_horizon, haversine, relative_airmass, Scene
-from .single import fluxes_by_quadrature
-from .solver import AbstractSolver, check_on_ground, Fluxes, Geometry, optics, Path
+from .contract import AbstractSolver, check_on_ground, Fluxes, Geometry, Path, SCALAR_ERROR
+from .dome import fluxes_by_quadrature
+from .optics import optics
 
 
 # m, objects further off are taken to be here
@@ -54,6 +55,13 @@ class Uniform(AbstractSolver):
     def fine(cls, geometry: Geometry = "flat") -> "Uniform":
         """As `normal`: the sums are closed."""
         return cls(geometry)
+
+    @property
+    def model_error(self) -> float:
+        return SCALAR_ERROR
+
+    def coarser(self) -> tuple[AbstractSolver, AbstractSolver]:
+        return self, self
 
     @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:

@@ -12,8 +12,9 @@ from jaxtyping import Array, Float
 from ..atmosphere import Atmosphere
 from ..numerics import chebyshev_nodes, chebyshev_weights, hat_weights
 from ..scene import above_horizon, Directions, haversine, Scene
-from .optical_path import exponential_nodes, slant_column
-from .solver import AbstractSolver, check_on_ground, Geometry, optics
+from .columns import exponential_nodes, slant_column
+from .contract import AbstractSolver, check_on_ground, Geometry
+from .optics import optics
 
 
 # rad, where the grid ends: what a flat solver says of the last degrees is not smooth

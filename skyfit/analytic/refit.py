@@ -1,0 +1,303 @@
+"""Preetham's coefficients refitted against simulated skies."""
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..atmosphere import Atmosphere, Tabulated
+from ..light import xyY_from_xyz, xyz, xyz_from_xyY
+from ..numerics import as_float
+from ..numerics.least_squares import result_name
+from ..scene import angle_between, Directions, hemisphere, Scene
+from ..transport import AbstractSolver, OrdersOfScattering
+from .analytic import AbstractAnalyticSky
+from .extended import ExtendedPreetham, SUN_ZENITH_RANGE_DEG, TURBIDITY_RANGE
+from .joint import EXTENDED, fit_joint, LINEAR, UNIT
+from .perez import Perez
+from .perez_fits import CLEAR_SKY, fit_perez
+from .preetham import Preetham
+
+
+Form = Literal["linear", "extended"]
+# twelve suns and five turbidities, as in Preetham 1999, sec. 3.2; he does not say which suns
+SUN_ZENITH_DEG = tuple(np.linspace(0.0, 82.5, 12).tolist())
+TURBIDITY = (2.0, 3.0, 4.0, 5.0, 6.0)
+# to twilight and from pure air, denser where the sky changes faster
+EXTENDED_SUN_ZENITH_DEG = (
+    0.0, 10.0, 20.0, 30.0, 38.0, 46.0, 53.0, 60.0, 65.0, 70.0, 74.0, 77.0, 80.0, 82.0, 84.0, 85.5, 87.0, 88.0, 89.0,
+    90.0, 91.0, 92.0,
+)  # fmt: skip
+EXTENDED_TURBIDITY = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.5, 8.0, 10.0)
+WAVELENGTH_NM = tuple(np.arange(380.0, 781.0, 10.0).tolist())
+# the fit sees directions to here; the error is stated to 80 degrees of view and 85 of the sun
+_FITTED_ZENITH = np.radians(85.0)
+_STATED_ZENITH = np.radians(80.0)
+_STATED_SUN = np.radians(85.0)
+_SMALLEST_SUNS, _SMALLEST_TURBIDITIES = 4, 3
+# A-E where the fits of a sky's chromaticities start: Preetham 1999, A.2 near T = 3
+_COLOUR_OF_SKY = (-0.3, -0.2, 0.2, -1.1, 0.03)
+
+
+class Errors(NamedTuple):
+    """Of one model over skies and directions: median and 95th percentile of the luminance's relative error, median
+    distance in chromaticity (x, y)."""
+
+    luminance: float
+    luminance_95: float
+    chromaticity: float
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Analytic models beside simulated skies; host-side arrays.
+
+    `simulated` is XYZ in cd m^-2 `[sky, direction, 3]`. For "published", "refitted" and "best five" (the Perez formula
+    fitted to one sky, what it can do at all) `luminance_error` and `luminance_95` hold the median and 95th percentile
+    of the relative error of each sky over directions to view zenith 80 degrees `[sky]`, `chromaticity_error` the median
+    distance of (x, y); NaN where the published formula has no answer. `overall` are the errors over all those
+    directions of all skies with the sun to 85 degrees, `rest` those of all other directions and skies.
+    """
+
+    sun_zenith: np.ndarray
+    turbidity: np.ndarray
+    simulated: np.ndarray
+    luminance_error: dict[str, np.ndarray]
+    luminance_95: dict[str, np.ndarray]
+    chromaticity_error: dict[str, np.ndarray]
+    overall: dict[str, Errors]
+    rest: dict[str, Errors]
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """Refitted coefficients beside the published ones, and what each is worth.
+
+    `fitted` are the skies of the fit, `held_out` random others of the same range; `view`, the directions of both, ends
+    with the zenith. `result` says how the joint fit of Y, x and y ended.
+    """
+
+    refitted: Preetham | ExtendedPreetham
+    published: Preetham
+    view: Directions
+    fitted: Comparison
+    held_out: Comparison
+    result: dict[str, str]
+
+
+def preetham_atmosphere(turbidity) -> Atmosphere:
+    """Haze with Bullrich's phase function, as the paper simulated, in skyfit's default air and ozone."""
+    return Atmosphere.from_turbidity(turbidity, phase=Tabulated.bullrich())
+
+
+def refit(
+    solver: AbstractSolver | None = None,
+    atmosphere: Callable | None = None,
+    sun_zenith_deg=None,
+    turbidity=None,
+    directions: int = 343,
+    form: Form = "linear",
+    flat_below_deg: float | None = None,
+    held_out: int = 60,
+    progress: Callable[[int, int], None] | None = None,
+) -> Refit:
+    """Coefficients of Preetham's model for skies simulated here, beside the published ones.
+
+    Each sky is simulated, five Perez parameters are fitted to it, then all coefficients to all skies.
+
+    **Arguments:** `solver`, default `OrdersOfScattering.normal()`; `atmosphere(turbidity)`, traced; the suns
+    (degrees) and turbidities, all combinations; `directions` over the sky; `form`: "linear" in turbidity as published
+    (`Preetham`), or "extended" (`ExtendedPreetham`); `flat_below_deg`, where given: the solver's flat geometry for
+    views and suns nearer to the zenith than that, as the paper did with 70; `held_out`, how many random skies of the
+    range (seeded) it is tested on; `progress(done, of)` by stages. Left out, suns, turbidities and atmosphere are
+    those of the paper for "linear" (Bullrich's haze), and for "extended" the range of `ExtendedPreetham` in
+    `Atmosphere.from_turbidity`.
+    **Returns:** `Refit`. **Valid:** sun zenith below 90 degrees; "extended": to 92.
+    **Errors:** `ValueError` for suns or turbidities that are too few or out of range.
+    **Source:** Preetham 1999, sec. 3.2 and A.2; the relative error is what is minimised.
+    """
+    shape = {"linear": LINEAR, "extended": EXTENDED}.get(form)
+    if shape is None:
+        raise ValueError(f'`form` must be "linear" or "extended", got {form!r}')
+    linear = form == "linear"
+    suns = _grid(sun_zenith_deg, SUN_ZENITH_DEG if linear else EXTENDED_SUN_ZENITH_DEG)
+    hazes = _grid(turbidity, TURBIDITY if linear else EXTENDED_TURBIDITY)
+    _check_grids(suns, hazes, linear)
+    if held_out < 1:
+        raise ValueError(f"`held_out` must be at least 1, got {held_out}")
+    atmosphere = atmosphere or (preetham_atmosphere if linear else Atmosphere.from_turbidity)
+    solver = OrdersOfScattering.normal() if solver is None else solver
+    flat = None if flat_below_deg is None else dataclasses.replace(solver, geometry="flat")
+    limit = as_float(0.0 if flat_below_deg is None else np.radians(flat_below_deg))
+    report = progress or (lambda done, of: None)
+    stages = 7
+    dome = hemisphere(directions)
+    view = Directions(np.append(dome.zenith, 0.0), np.append(dome.azimuth, 0.0))
+    weight = as_float((np.asarray(view.zenith) <= _FITTED_ZENITH).astype(float))
+
+    def simulated(sun, haze):
+        skies = _simulate(solver, flat, atmosphere, view, limit, as_float(sun), as_float(haze))
+        return _Simulated.of(skies, view, sun, haze, weight)
+
+    sun, haze = (grid.ravel() for grid in np.meshgrid(np.radians(suns), hazes, indexing="ij"))
+    skies = simulated(sun, haze)
+    report(1, stages)
+    best = _best_five(skies)
+    report(2, stages)
+    published = Preetham.published()
+    model, results = shape.first(published), {}
+    ends = float(hazes.min()), float(hazes.max())
+    highest_sun, lowest_sun = (float(np.radians(angle)) for angle in (suns.min(), suns.max()))
+    if linear:
+        model = dataclasses.replace(model, lowest_turbidity=ends[0], fitted_turbidity=ends, lowest_sun=lowest_sun)
+    else:
+        model = dataclasses.replace(model, fitted_turbidity=ends, fitted_sun=(highest_sun, lowest_sun))
+    for q, name in enumerate("Yxy"):
+        solution = fit_joint(shape, q, shape.start(q, skies.target[q], sun, haze), skies.joint(q))
+        model = shape.put(model, q, solution.value)
+        results[name] = result_name(solution.result)
+        report(3 + q, stages)
+    random = np.random.default_rng(0)
+    other_sun = np.radians(random.uniform(suns.min(), suns.max(), held_out))
+    other_haze = random.uniform(hazes.min(), hazes.max(), held_out)
+    others = simulated(other_sun, other_haze)
+    report(6, stages)
+    models = {"published": published, "refitted": model}
+    fitted = _compare(skies, sun, haze, models, best)
+    tested = _compare(others, other_sun, other_haze, models, _best_five(others))
+    report(stages, stages)
+    return Refit(model, published, view, fitted, tested, results)
+
+
+def model_xyz(model: AbstractAnalyticSky, view: Directions, skies: Comparison) -> np.ndarray:
+    """XYZ (cd m^-2) of an analytic model in the skies of a comparison, `[sky, direction, 3]`."""
+    sun = as_float(skies.sun_zenith)
+    gamma = angle_between(view.zenith[None], sun[:, None], view.azimuth[None])
+    luminance, x, y = _evaluate(model, view.zenith, gamma, sun, as_float(skies.turbidity))
+    return np.asarray(xyz_from_xyY(jnp.stack([x, y, luminance], axis=-1)))
+
+
+def _grid(given, usual):
+    return np.asarray(usual if given is None else given, float)
+
+
+def _check_grids(suns, hazes, linear: bool) -> None:
+    highest = 90.0 if linear else SUN_ZENITH_RANGE_DEG[1]
+    inside = np.all((suns >= 0.0) & (suns < highest if linear else suns <= highest))
+    if np.unique(suns).size < _SMALLEST_SUNS or not inside:
+        end = ")" if linear else "]"
+        raise ValueError(
+            f"`sun_zenith_deg` must hold at least four different angles in [0, {highest:g}{end}, got {suns.tolist()}"
+        )
+    most = np.inf if linear else TURBIDITY_RANGE[1]
+    if np.unique(hazes).size < _SMALLEST_TURBIDITIES or not np.all((hazes >= 1.0) & (hazes <= most)):
+        above = "" if linear else f" and <= {most:g}"
+        raise ValueError(f"`turbidity` must hold at least three different values >= 1{above}, got {hazes.tolist()}")
+
+
+@eqx.filter_jit
+def _simulate(solver, flat, atmosphere, view, limit, sun, turbidity):
+    """XYZ of each sky, one after another, all wavelengths of a sky at once, `[sky, direction, 3]`."""
+
+    def sky(case):
+        sun_zenith, haze = case
+        scene = Scene.from_degrees(0.0, view, np.array(WAVELENGTH_NM))
+        scene = eqx.tree_at(lambda s: s.sun_zenith, scene, sun_zenith)
+        air = atmosphere(haze)
+        seen = xyz(solver.radiance(air, scene), np.array(WAVELENGTH_NM))
+        if flat is None:
+            return seen
+        steep = (view.zenith < limit) & (sun_zenith < limit)
+        return jnp.where(steep[:, None], xyz(flat.radiance(air, scene), np.array(WAVELENGTH_NM)), seen)
+
+    return jax.lax.map(sky, (sun, turbidity))
+
+
+class _Simulated(NamedTuple):
+    """Simulated skies as the fits see them; `target` luminance, x and y."""
+
+    xyz: np.ndarray
+    target: Float[Array, "quantity sky direction"]
+    zenith: Float[Array, " direction"]
+    gamma: Float[Array, "sky direction"]
+    sun: Float[Array, " sky"]
+    turbidity: Float[Array, " sky"]
+    weight: Float[Array, " direction"]
+
+    @classmethod
+    def of(cls, skies, view: Directions, sun, turbidity, weight) -> "_Simulated":
+        sun = as_float(sun)
+        x, y, luminance = jnp.moveaxis(xyY_from_xyz(skies), -1, 0)
+        target = jnp.stack([luminance, x, y])
+        gamma = angle_between(view.zenith[None], sun[:, None], view.azimuth[None])
+        return cls(np.asarray(skies), target, view.zenith, gamma, sun, as_float(turbidity), weight)
+
+    def joint(self, q: int):
+        return self.target[q], self.gamma, self.zenith, self.sun, self.turbidity, self.weight
+
+
+def _best_five(skies: _Simulated) -> list:
+    """A-E of Y, x and y of each sky alone, `[sky, 5]` each."""
+    found = []
+    for q, target in enumerate(skies.target):
+        start = CLEAR_SKY if q == 0 else _COLOUR_OF_SKY
+        fits = fit_perez(
+            target, target[:, -1], skies.zenith, skies.gamma, skies.sun, skies.weight / UNIT[q], start=start
+        )
+        found.append(fits.coefficients)
+    return found
+
+
+@eqx.filter_jit
+def _evaluate(model: AbstractAnalyticSky, zenith, gamma, sun, turbidity):
+    """Luminance, x and y of an analytic model in every sky, `[quantity, sky, direction]`."""
+    one = jax.vmap(lambda t, s, g: jnp.stack(model.luminance_chromaticity(t, s, zenith, g)))
+    return jnp.moveaxis(one(turbidity, sun, gamma), 1, 0)
+
+
+@eqx.filter_jit
+def _evaluate_each(best, skies: _Simulated):
+    def one(coefficients, at_zenith, angle, theta_sun):
+        return at_zenith * Perez.from_coefficients(coefficients).ratio(skies.zenith, angle, theta_sun)
+
+    each = jax.vmap(one)
+    return jnp.stack([each(b, t[:, -1], skies.gamma, skies.sun) for b, t in zip(best, skies.target, strict=True)])
+
+
+def _compare(skies: _Simulated, sun, turbidity, models: dict[str, AbstractAnalyticSky], best) -> Comparison:
+    target = np.asarray(skies.target)
+    answers = {}
+    for name, model in models.items():
+        light = np.array(_evaluate(model, skies.zenith, skies.gamma, skies.sun, skies.turbidity))
+        light[:, ~np.asarray(jax.vmap(model.valid)(skies.turbidity, skies.sun))] = np.nan
+        answers[name] = light
+    answers["best five"] = np.asarray(_evaluate_each(best, skies))
+    low = np.asarray(skies.zenith) <= _STATED_ZENITH
+    stated = low[None] & (sun <= _STATED_SUN)[:, None]
+    luminance = {n: np.abs(a[0] / target[0] - 1.0) for n, a in answers.items()}
+    chromaticity = {n: np.hypot(a[1] - target[1], a[2] - target[2]) for n, a in answers.items()}
+
+    def pooled(where):
+        return {n: _pooled(luminance[n][where], chromaticity[n][where]) for n in answers}
+
+    return Comparison(
+        sun, turbidity, skies.xyz,
+        {n: np.median(e[:, low], axis=1) for n, e in luminance.items()},
+        {n: np.percentile(e[:, low], 95.0, axis=1) for n, e in luminance.items()},
+        {n: np.median(e[:, low], axis=1) for n, e in chromaticity.items()},
+        pooled(stated), pooled(~stated),
+    )  # fmt: skip
+
+
+def _pooled(luminance, chromaticity) -> Errors:
+    known = np.isfinite(luminance)
+    if not known.any():
+        return Errors(np.nan, np.nan, np.nan)
+    values = luminance[known]
+    return Errors(float(np.median(values)), float(np.percentile(values, 95.0)), float(np.median(chromaticity[known])))

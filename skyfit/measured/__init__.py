@@ -1,0 +1,11 @@
+from .noise import Measurement as Measurement
+from .readers import read as read, read_directions as read_directions, read_response as read_response
+from .response import Response as Response
+from .samples import (
+    Sky as Sky,
+    station_pressure as station_pressure,
+    STATION_RANGES as STATION_RANGES,
+    time_names as time_names,
+)
+from .solar_position import solar_position as solar_position
+from .writing import atomic as atomic, write_sky as write_sky

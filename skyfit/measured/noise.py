@@ -1,0 +1,82 @@
+"""What is known of a measurement besides its numbers: noise, calibration, spectral response, outliers."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from .samples import Sky
+
+
+Loss = Literal["squares", "huber", "cauchy"]
+
+# where a file gives none, of each sample and of the time's median radiance: so are the residuals of settled measured
+# scans (experiments/studies/measured_sky.py)
+_RELATIVE, _FLOOR = 0.02, 0.05
+# the calibration's prior where the noise is not known either
+_CALIBRATION = 0.01
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What is known of how a sky was measured.
+
+    - `relative`, `floor`: standard deviation of a sample's noise, as a share of the sample and of the time's median
+      radiance, added in quadrature. None: the file's sigma, or 0.02 and 0.05 where it has none.
+    - `calibration`: standard deviation of the scale of each wavelength, which all times share and the fit finds with
+      this prior; 0: exact. None: 0 if the noise is given, by the file or here, else 0.01.
+    - `model_error`: relative size of each of the smooth errors of the model that `sigma` allows for (`error_shapes`):
+      by comparison with other solvers 0.006 for leaving polarisation out and 0.003 for a haze at another height; for
+      skies that a solver of the same kind made, of known haze height, 0.001 (flat: 0.0005; drafts 0.004 and 0.002).
+      None: that of the solver.
+    - `field_of_view`: full cone angle of what the instrument sees, radians; 0: a ray.
+    - `loss`: of a residual beyond `threshold` standard deviations: "squares", "huber" (linear) or "cauchy"
+      (logarithmic), against clouds, masts and flare.
+    """
+
+    relative: float | None = None
+    floor: float | None = None
+    calibration: float | None = None
+    model_error: float | None = None
+    field_of_view: float = 0.0
+    loss: Loss = "huber"
+    threshold: float = 3.0
+
+    def __post_init__(self):
+        for name, low, high in (
+            ("relative", 0.0, 1.0), ("floor", 0.0, 1.0), ("calibration", 0.0, 1.0), ("model_error", 0.0, 1.0),
+            ("field_of_view", 0.0, 0.5), ("threshold", 0.5, 1e3),
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
+                raise ValueError(f"`{name}` must be between {low:g} and {high:g}, got {value!r}")
+        if self.loss not in ("squares", "huber", "cauchy"):
+            raise ValueError(f'`loss` must be "squares", "huber" or "cauchy", got {self.loss!r}')
+        if (self.relative is not None or self.floor is not None) and not (self.relative or self.floor):
+            raise ValueError("`relative` and `floor` must not both be 0: no sample is exact")
+
+    def stated(self, sky: Sky) -> bool:
+        """Whether the noise is given, by the measurement's owner or the sky's file."""
+        return self.relative is not None or self.floor is not None or sky.sigma is not None
+
+    def sigma(self, sky: Sky, used: np.ndarray) -> np.ndarray:
+        """Standard deviation of every sample, `[time, direction, wavelength]`, 1 where it is not used."""
+        given = self.relative is not None or self.floor is not None
+        if sky.sigma is not None and not given:
+            return np.where(used, sky.sigma, 1.0)
+        relative = self.relative if self.relative is not None else 0.0 if given else _RELATIVE
+        floor = self.floor if self.floor is not None else 0.0 if given else _FLOOR
+        result = np.ones(sky.radiance.shape)
+        for t in range(len(sky.time)):
+            if used[t].any():
+                level = floor * np.median(sky.radiance[t][used[t]])
+                result[t] = np.where(used[t], np.hypot(relative * sky.radiance[t], level), 1.0)
+        # a sample of 0 with relative noise only would count infinitely
+        least = 1e-6 * np.max(np.where(used, sky.radiance, 0.0), initial=0.0)
+        return np.maximum(result, least if least > 0.0 else 1.0)
+
+    def calibration_prior(self, sky: Sky) -> float:
+        """The standard deviation of each wavelength's scale."""
+        if self.calibration is not None:
+            return self.calibration
+        return 0.0 if self.stated(sky) else _CALIBRATION

@@ -1,0 +1,34 @@
+"""Spectral responses of a camera's channels from a CSV."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from ..response import Response
+from .tidy import read_numbers
+
+
+def read_response(path: str | os.PathLike) -> Response:
+    """The channels of a camera or photometer from a CSV.
+
+    **Arguments:** `path`: the first column is wavelength_nm, each other one a channel's weights: what its value is made
+    of per W m^-2 sr^-1 nm^-1 and nm.
+    **Returns:** a `Response`; the channels in the order of the columns, which is that of the sky's wavelengths. Weights
+    are multiplied by the steps of the wavelengths (trapezoids), so that a sum over them is an integral.
+    **Valid:** 300-1100 nm, increasing; anything else is a one-line `ValueError` with the file's name.
+    """
+    path = Path(path)
+    header, numbers = read_numbers(path)
+    if header[0] != "wavelength_nm" or len(header) < 2 or len(numbers) < 2:
+        raise ValueError(
+            f"{path.name}: expected the column `wavelength_nm`, one or more channels and two or more rows, found "
+            f"{', '.join(header)[:200]} and {len(numbers)} rows"
+        )
+    wavelength = numbers[:, 0]
+    half = 0.5 * np.diff(wavelength)
+    width = np.append(half, 0.0) + np.append(0.0, half)
+    try:
+        return Response(wavelength, (numbers[:, 1:] * width[:, None]).T)
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from None

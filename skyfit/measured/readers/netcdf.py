@@ -1,0 +1,336 @@
+"""NetCDF: time, direction, wavelength."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ..samples import Sky
+from ..units import IRRADIANCE, irradiance_factor, is_nanometre, is_radian, RADIANCE, radiance_factor
+from .screening import assemble, Contents
+
+
+_AXES = ("time", "direction", "wavelength")
+_BEAM = "direct_normal_irradiance"
+_STATION = {
+    "latitude": ("latitude",),
+    "longitude": ("longitude",),
+    "altitude_m": ("altitude_m", "elevation_m"),
+    "pressure_pa": ("pressure_pa",),
+    "fwhm_nm": ("fwhm_nm",),
+}
+
+
+def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
+    """A NetCDF file of sky radiance as a `Sky`.
+
+    **Arguments**
+
+    - `path`: NetCDF 4 (HDF5) or NetCDF 3; dimensions direction, wavelength and optionally time;
+      variables `radiance`, optionally `sigma`, `suspect` (1 = masked), `direct_normal_irradiance` [time, wavelength]
+      and `direct_normal_irradiance_sigma`; coordinates `view_zenith`,
+      `view_azimuth`, `wavelength`; `sun_zenith` and `sun_azimuth`, or latitude, longitude and time
+    - `station`: numbers that stand instead of the file's own, by name
+
+    **Returns** a `Sky`. `sun_azimuth_instrument`, where finite, stands before `sun_azimuth`.
+
+    **Valid** units W m-2 sr-1 nm-1 in any common spelling; mW, um, cm are converted, with a note; the
+    irradiance of the sun's beam W m-2 nm-1 alike.
+    """
+    data = load_dataset(path)
+    name = path.name
+    _require(name, data)
+    radiance, factor, notes = _radiance(name, data)
+    axes = radiance.dims
+    shape = radiance.shape
+    sigma = None
+    if "sigma" in data:
+        units = data["sigma"].attrs.get("units")
+        sigma = _spread(name, data, "sigma", axes, radiance)
+        sigma = sigma * (factor if units is None else _factor(name, "sigma", units))
+    suspect = None
+    if "suspect" in data:
+        suspect = _spread(name, data, "suspect", axes, radiance) != 0.0
+    zenith, known = _angle(name, data, "view_zenith", ("direction",), shape[1])
+    azimuth, _ = _angle(name, data, "view_azimuth", ("direction",), shape[1])
+    sun_zenith, _ = _angle(name, data, "sun_zenith", ("time",), shape[0])
+    sun_azimuth, note = _sun_azimuth(name, data, shape[0])
+    notes += note
+    direct, direct_sigma, converted = _beam(name, data, radiance)
+    notes += converted
+    found = _station(name, data)
+    found.update(station)
+    return assemble(
+        Contents(
+            name=name,
+            radiance=_numbers(name, radiance) * factor,
+            sigma=sigma,
+            suspect=suspect,
+            direct=direct,
+            direct_sigma=direct_sigma,
+            view_zenith=zenith,
+            view_azimuth=azimuth,
+            wavelength=_wavelength(name, data),
+            time=_time(name, data, shape[0]),
+            sun_zenith=sun_zenith,
+            sun_azimuth=sun_azimuth,
+            station=found,
+            saturation=_saturation(name, data, factor),
+            notes=_own_notes(data) + notes,
+            angles_known=known,
+            turned=bool(note),
+        )
+    )
+
+
+def load_dataset(path: Path):
+    """All of a NetCDF file in memory, as an `xarray.Dataset`; a one-line `ValueError` where it is none or damaged."""
+    import xarray
+
+    with open(path, "rb") as stream:
+        start = stream.read(4)
+    # NetCDF 3 begins with CDF, NetCDF 4 as HDF5.
+    engine = {b"CDF": "scipy", b"\x89HD": "h5netcdf"}.get(start[:3])
+    if engine is None:
+        found = "an empty file" if not start else f"a file that begins with {start!r}"
+        raise ValueError(f"{path.name}: expected NetCDF, found {found}")
+    try:
+        with open(path, "rb") as stream:
+            if engine == "h5netcdf":
+                _probe(stream)
+            return xarray.load_dataset(stream, engine=engine, decode_timedelta=False)
+    except Exception as error:
+        line = (str(error).splitlines() or [""])[0] or type(error).__name__
+        raise ValueError(f"{path.name}: expected NetCDF, found a truncated or damaged file ({line})") from error
+
+
+def _probe(stream):
+    """Fail on a damaged HDF5 file, where h5netcdf would fail and then again when collected."""
+    import h5py
+
+    with h5py.File(stream, "r") as file:
+        list(file.attrs.items())
+        list(file.items())
+    stream.seek(0)
+
+
+def _require(name, data):
+    for key in ("radiance", "view_zenith", "view_azimuth", "wavelength"):
+        if key not in data:
+            raise ValueError(f"{name}: expected variable `{key}`, found {', '.join(map(str, data.variables))}")
+
+
+def _radiance(name, data):
+    radiance = data["radiance"]
+    extra = [axis for axis in radiance.dims if axis not in _AXES]
+    if extra or "direction" not in radiance.dims or "wavelength" not in radiance.dims:
+        raise ValueError(
+            f"{name}: variable `radiance`: expected dimensions time, direction, wavelength, "
+            f"found {', '.join(map(str, radiance.dims)) or 'none'}"
+        )
+    if 0 in radiance.shape:
+        raise ValueError(f"{name}: variable `radiance`: expected samples, found {radiance.shape}")
+    units = radiance.attrs.get("units")
+    factor = _factor(name, "radiance", units)
+    notes = [] if factor == 1.0 else [f"radiance converted from {units} to {RADIANCE}"]
+    if "time" not in radiance.dims:
+        radiance = radiance.expand_dims("time")
+    return radiance.transpose(*_AXES), factor, notes
+
+
+def _beam(name, data, radiance):
+    """Direct normal irradiance and its sigma, [time, wavelength], and what was converted; None where absent."""
+    if _BEAM not in data:
+        return None, None, []
+    across = radiance.isel(direction=0)
+    units = data[_BEAM].attrs.get("units")
+    factor = _factor(name, _BEAM, units, IRRADIANCE)
+    notes = [] if factor == 1.0 else [f"direct normal irradiance converted from {units} to {IRRADIANCE}"]
+    direct = factor * _spread(name, data, _BEAM, across.dims, across)
+    key = f"{_BEAM}_sigma"
+    if key not in data:
+        return direct, None, notes
+    units = data[key].attrs.get("units")
+    sigma = _spread(name, data, key, across.dims, across)
+    return direct, sigma * (factor if units is None else _factor(name, key, units, IRRADIANCE)), notes
+
+
+def _factor(name, variable, units, wanted=RADIANCE):
+    if units is None:
+        raise ValueError(f"{name}: variable `{variable}`: expected units {wanted}, found none")
+    try:
+        return (radiance_factor if wanted == RADIANCE else irradiance_factor)(str(units))
+    except ValueError as error:
+        raise ValueError(f"{name}: variable `{variable}`: {error}") from None
+
+
+def _numbers(name, variable):
+    if variable.dtype.kind not in "fiub":
+        raise ValueError(f"{name}: variable `{variable.name}`: expected numbers, found {variable.dtype}")
+    return np.asarray(variable.values, dtype=np.float64)
+
+
+def _spread(name, data, key, axes, radiance):
+    """A variable on any subset of the axes, over all of them."""
+    variable = data[key]
+    extra = [axis for axis in variable.dims if axis not in radiance.dims]
+    if extra:
+        raise ValueError(
+            f"{name}: variable `{key}`: expected dimensions among {', '.join(axes)}, "
+            f"found {', '.join(map(str, variable.dims))}"
+        )
+    numbers = _numbers(name, variable)
+    kept = [axis for axis in axes if axis in variable.dims]
+    numbers = numbers.transpose([variable.dims.index(axis) for axis in kept])
+    index = tuple(slice(None) if axis in kept else None for axis in axes)
+    return np.broadcast_to(numbers[index], radiance.shape).copy()
+
+
+def _angle(name, data, key, axes, length):
+    """An angle in degrees, and whether it was converted from radians; NaN where absent."""
+    if key not in data:
+        return np.full(length, np.nan), False
+    variable = data[key]
+    if variable.dims not in (axes, ()) or (variable.dims == () and axes == ("direction",)):
+        raise ValueError(
+            f"{name}: variable `{key}`: expected dimension {axes[0]}, "
+            f"found {', '.join(map(str, variable.dims)) or 'none'}"
+        )
+    units = str(variable.attrs.get("units", ""))
+    radian = is_radian(units)
+    if radian is None:
+        raise ValueError(f"{name}: variable `{key}`: expected units degree, found {units!r}")
+    numbers = np.broadcast_to(_numbers(name, variable), (length,)).copy()
+    return (np.rad2deg(numbers) if radian else numbers), radian
+
+
+def _sun_azimuth(name, data, length):
+    azimuth, _ = _angle(name, data, "sun_azimuth", ("time",), length)
+    own, _ = _angle(name, data, "sun_azimuth_instrument", ("time",), length)
+    finite = np.isfinite(own)
+    if not np.any(finite):
+        return azimuth, []
+    notes = ["sun azimuth from sun_azimuth_instrument"]
+    if not np.all(finite):
+        lacking = ", ".join(str(index) for index in np.flatnonzero(~finite))
+        notes = [f"{notes[0]}, except times {lacking}"]
+    return np.where(finite, own, azimuth), notes
+
+
+def _wavelength(name, data):
+    variable = data["wavelength"]
+    units = str(variable.attrs.get("units", "nm"))
+    if variable.dims != ("wavelength",) or not is_nanometre(units):
+        raise ValueError(
+            f"{name}: variable `wavelength`: expected nm along dimension wavelength, "
+            f"found {units!r} along {', '.join(map(str, variable.dims)) or 'none'}"
+        )
+    return _numbers(name, variable)
+
+
+def _time(name, data, length):
+    if "time" not in data.variables:
+        return np.full(length, np.datetime64("NaT", "ns"))
+    values = data["time"]
+    if values.dtype.kind != "M":
+        raise ValueError(
+            f"{name}: variable `time`: expected units such as 'seconds since 1970-01-01', "
+            f"found {values.attrs.get('units', 'none')!r}"
+        )
+    return np.broadcast_to(values.values.astype("datetime64[ns]"), (length,)).copy()
+
+
+def _station(name, data):
+    station = {}
+    for key, spellings in _STATION.items():
+        for spelling in spellings:
+            number = _scalar(name, data, spelling)
+            if number is not None and np.isfinite(number):
+                station.setdefault(key, number)
+    return station
+
+
+def _scalar(name, data, key):
+    """One number from an attribute or a variable, or None."""
+    if key in data.variables:
+        numbers = np.unique(_numbers(name, data[key]))
+        kind = "variable"
+    elif key in data.attrs:
+        kind = "attribute"
+        try:
+            numbers = np.unique(np.asarray(data.attrs[key], dtype=np.float64))
+        except (TypeError, ValueError):
+            raise ValueError(f"{name}: attribute `{key}`: expected a number, found {data.attrs[key]!r}") from None
+    else:
+        return None
+    if numbers.size != 1:
+        raise ValueError(f"{name}: {kind} `{key}`: expected one number, found {numbers.size}")
+    return float(numbers[0])
+
+
+def _saturation(name, data, factor):
+    """The saturation radiance, an attribute of `radiance` or of the file, in its units."""
+    attributes = data["radiance"].attrs
+    value = attributes.get("saturation", data.attrs.get("saturation"))
+    if value is None:
+        return None
+    try:
+        return float(value) * factor
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: attribute `saturation`: expected a number, found {value!r}") from None
+
+
+def _own_notes(data):
+    text = data.attrs.get("notes")
+    return text.splitlines() if isinstance(text, str) else []
+
+
+def write_netcdf(sky: Sky, path: Path) -> None:
+    """Write `sky` as NetCDF 4 in the layout that `read_netcdf` reads.
+
+    **Arguments** `path`: the file; written in place, see `writing.atomic`.
+    """
+    import xarray
+
+    variables = {
+        "radiance": (_AXES, sky.radiance, {"units": RADIANCE, "long_name": "spectral radiance"}),
+        "suspect": (_AXES, (~sky.usable).astype(np.int8), {"long_name": "1 where masked"}),
+        "sun_zenith": ("time", degrees(sky.sun_zenith), {"units": "degree"}),
+        "sun_azimuth": ("time", degrees(sky.sun_azimuth), {"units": "degree"}),
+    }
+    if sky.sigma is not None:
+        variables["sigma"] = (_AXES, sky.sigma, {"units": RADIANCE, "long_name": "standard deviation of radiance"})
+    if sky.direct_irradiance is not None:
+        about = {"units": IRRADIANCE, "long_name": "irradiance of the sun's beam on a plane normal to it"}
+        variables[_BEAM] = (("time", "wavelength"), sky.direct_irradiance, about)
+    if sky.direct_sigma is not None:
+        about = {"units": IRRADIANCE, "long_name": f"standard deviation of {_BEAM}"}
+        variables[f"{_BEAM}_sigma"] = (("time", "wavelength"), sky.direct_sigma, about)
+    clockwise = {"units": "degree", "comment": "clockwise from north"}
+    coordinates = {
+        "wavelength": ("wavelength", sky.wavelength_nm, {"units": "nm"}),
+        "view_zenith": ("direction", degrees(sky.view_zenith), {"units": "degree"}),
+        "view_azimuth": ("direction", degrees(sky.view_azimuth), clockwise),
+        "time": ("time", sky.time),
+    }
+    data = xarray.Dataset(variables, coordinates, attributes(sky))
+    if sky.notes:
+        data.attrs["notes"] = "\n".join(sky.notes)
+    encoding = {name: {"zlib": True} for name in ("radiance", "suspect")}
+    data.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+
+
+def degrees(radians: np.ndarray) -> np.ndarray:
+    """Degrees, rounded to 1e-10 so that a written angle reads as it was typed."""
+    return np.round(np.rad2deg(radians), 10)
+
+
+def attributes(sky: Sky) -> dict[str, float]:
+    """The station and the line shape of `sky`, by their names in files; what is NaN is left out."""
+    values = {
+        "latitude": sky.latitude_deg,
+        "longitude": sky.longitude_deg,
+        "altitude_m": sky.altitude_m,
+        "pressure_pa": sky.pressure_pa,
+        "fwhm_nm": sky.fwhm_nm,
+    }
+    return {name: float(value) for name, value in values.items() if np.isfinite(value)}

@@ -1,0 +1,67 @@
+"""Read measured sky from whatever it lies in."""
+
+import os
+from pathlib import Path
+
+from ..samples import Sky
+from .asd import read_asd
+from .netcdf import read_netcdf
+from .tidy import read_tidy
+
+
+_READERS = {".nc": read_netcdf, ".nc4": read_netcdf, ".cdf": read_netcdf, ".csv": read_tidy}
+
+
+def read(
+    path: str | os.PathLike,
+    *,
+    latitude: float | int | None = None,
+    longitude: float | int | None = None,
+    utc_offset: float | int | None = None,
+    altitude: float | int | None = None,
+    fwhm_nm: float | int | None = None,
+) -> Sky:
+    """Measured sky radiance from a NetCDF file, a tidy CSV or a folder of ASD text exports.
+
+    **Arguments**
+
+    - `path`: `*.nc`, `*.csv` or a folder
+    - `latitude`, `longitude`: degrees, north and east positive; instead of the file's own
+    - `utc_offset`: hours that local time is ahead of UTC (EDT is -4); for a folder only, since
+      the times of the others are UTC
+    - `altitude`: m above sea level; instead of the file's own
+    - `fwhm_nm`: full width at half maximum of the instrument's line shape, nm
+
+    **Returns** a `Sky`; samples that are missing, negative, infinite, saturated, below the horizon
+    or marked as suspect are masked and counted, never silently used.
+
+    **Valid** what cannot be understood is a one-line `ValueError` that names the file, the row or
+    the column, what was expected and what was found.
+    """
+    path = Path(path)
+    given = {
+        "latitude": latitude,
+        "longitude": longitude,
+        "altitude_m": altitude,
+        "fwhm_nm": fwhm_nm,
+    }
+    station = {key: float(value) for key, value in given.items() if value is not None}
+    try:
+        if path.is_dir():
+            return read_asd(path, station, utc_offset)
+        if not path.exists():
+            raise ValueError(f"{path}: expected a file or a folder, found none")
+        if not path.is_file():
+            raise ValueError(f"{path}: expected a file or a folder, found a pipe or a device")
+        reader = _READERS.get(path.suffix.lower())
+        if reader is None:
+            raise ValueError(
+                f"{path.name}: expected *.nc, *.csv or a folder of ASD text exports, found suffix {path.suffix!r}"
+            )
+        if utc_offset is not None:
+            raise ValueError(
+                f"{path.name}: `utc_offset` is for a folder of ASD text exports; times in this file are UTC"
+            )
+        return reader(path, station)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error

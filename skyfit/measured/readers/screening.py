@@ -1,0 +1,302 @@
+"""From what a file says to a `Sky`: angles checked, samples screened, the sun placed."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..quality.sun_agreement import sun_agreement
+from ..samples import Sky, STATION_RANGES
+from ..solar_position import solar_position
+
+
+# Past this, a number is NetCDF's default fill value (9.97e36), not a radiance.
+_FILL = 1e30
+# A detector at its limit repeats the same number: this many neighbours or more.
+_SATURATED_RUN = 4
+# The widest zenith angle that could be pi/2 in radians, with room for rounding.
+_RADIAN_LIMIT = 1.6
+# W m^-2 nm^-1; the sun sends 2.3 at most at the top of the air, a few per cent more in January (ASTM G173)
+_BRIGHTEST_BEAM = 3.0
+# a wavelength past this is no nm: spectrometers of sky light end at 2500 nm, and 3000 angstrom is 300 nm
+_LONGEST_NM = 2600.0
+
+
+@dataclass
+class Contents:
+    """What a reader found: file units (degrees), before any screening.
+
+    **Arguments** arrays as in `Sky`, angles in degrees; `station` holds numbers by the names
+    latitude, longitude, altitude_m, pressure_pa, fwhm_nm; `suspect` is True where masked;
+    `rows`: axis -> the row where each of its values first stands, for errors; `angles_known`: the
+    file said radians, so that no small angle is suspicious; `turned`: azimuths are in the instrument's own frame.
+    `direct`, `direct_sigma`: irradiance of the sun's beam and its standard deviation, W m^-2 nm^-1, [time, wavelength].
+    """
+
+    name: str
+    radiance: np.ndarray
+    view_zenith: np.ndarray
+    view_azimuth: np.ndarray
+    wavelength: np.ndarray
+    time: np.ndarray
+    sun_zenith: np.ndarray
+    sun_azimuth: np.ndarray
+    sigma: np.ndarray | None = None
+    suspect: np.ndarray | None = None
+    direct: np.ndarray | None = None
+    direct_sigma: np.ndarray | None = None
+    station: dict[str, float] = field(default_factory=dict)
+    saturation: float | None = None
+    notes: list[str] = field(default_factory=list)
+    angles_known: bool = False
+    turned: bool = False
+    rows: dict[str, list[int]] = field(default_factory=dict)
+
+
+def assemble(found: Contents) -> Sky:
+    """The `Sky` of what a file says: checked, screened, with the sun in place.
+
+    **Arguments** `found`: the contents of the file.
+
+    **Returns** a `Sky`; samples that cannot be used are masked and counted by reason.
+
+    **Valid** where an angle, a wavelength or the station makes no sense: `ValueError`.
+    """
+    name = found.name
+    _check_station(name, found.station)
+    zenith, azimuth = _check_directions(found)
+    wavelength, order = _check_wavelengths(found)
+    radiance = found.radiance[..., order]
+    sigma = None if found.sigma is None else found.sigma[..., order]
+    suspect = None if found.suspect is None else found.suspect[..., order]
+    radiance, usable, masked = screen(radiance, sigma, suspect, zenith, found.saturation)
+    direct, direct_sigma = _check_beam(found, order)
+    sun_zenith, sun_azimuth = _place_sun(found)
+    found.notes += _small_angles(found, zenith, azimuth, sun_zenith, sun_azimuth)
+    station = found.station
+    try:
+        return Sky(
+            radiance=radiance,
+            sigma=sigma,
+            usable=usable,
+            view_zenith=np.deg2rad(zenith),
+            view_azimuth=np.deg2rad(azimuth),
+            wavelength_nm=wavelength,
+            sun_zenith=np.deg2rad(sun_zenith),
+            sun_azimuth=np.deg2rad(sun_azimuth),
+            time=found.time.astype("datetime64[ns]"),
+            latitude_deg=station.get("latitude", np.nan),
+            longitude_deg=station.get("longitude", np.nan),
+            altitude_m=station.get("altitude_m", np.nan),
+            pressure_pa=station.get("pressure_pa", np.nan),
+            fwhm_nm=station.get("fwhm_nm", np.nan),
+            direct_irradiance=direct,
+            direct_sigma=direct_sigma,
+            masked=masked,
+            # A file that skyfit wrote already carries its notes: each is said once.
+            notes=tuple(dict.fromkeys(found.notes)),
+            source=name,
+        )
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
+def _check_beam(found, order):
+    """The sun's beam by wavelength, NaN where it is no irradiance; refused where no sun sends so much."""
+    if found.direct is None:
+        return None, None
+    direct = np.array(found.direct[:, order], dtype=np.float64)
+    beam = np.isfinite(direct) & (direct >= 0.0) & (direct < _FILL)
+    if np.any(beam & (direct > _BRIGHTEST_BEAM)):
+        raise ValueError(
+            f"{found.name}: variable `direct_normal_irradiance`: expected {_BRIGHTEST_BEAM:g} W m-2 nm-1 at most, "
+            f"found {np.max(direct[beam]):g}; is this mW, or per um?"
+        )
+    left_out = int(np.count_nonzero(~beam & ~np.isnan(direct)))
+    if left_out:
+        found.notes.append(f"{left_out} direct irradiances that are negative or infinite left out")
+    return np.where(beam, direct, np.nan), None if found.direct_sigma is None else found.direct_sigma[:, order]
+
+
+def screen(
+    radiance: np.ndarray,
+    sigma: np.ndarray | None,
+    suspect: np.ndarray | None,
+    view_zenith_deg: np.ndarray,
+    saturation: float | None = None,
+) -> tuple[np.ndarray, np.ndarray, dict[str, int]]:
+    """Mask the samples that must not be used, and count them by the first reason that holds.
+
+    **Arguments** arrays [time, direction, wavelength]; `view_zenith_deg` [direction];
+    `saturation`: the radiance at which the detector saturates, if known.
+
+    **Returns** radiance with NaN where not finite, `usable`, and the counts.
+    """
+    radiance = np.array(radiance, dtype=np.float64)
+    below = np.broadcast_to((view_zenith_deg > 90.0)[:, None], radiance.shape)
+    with np.errstate(invalid="ignore"):
+        reasons = {
+            "missing": np.isnan(radiance) | (np.isfinite(radiance) & (radiance > _FILL)),
+            "infinite": np.isinf(radiance),
+            "negative": radiance < 0.0,
+            "below horizon": below,
+            "saturated": _saturated(radiance, saturation),
+        }
+        if suspect is not None:
+            reasons["suspect"] = suspect
+        if sigma is not None:
+            reasons["sigma not positive"] = ~((sigma > 0.0) & np.isfinite(sigma))
+    usable = np.ones(radiance.shape, dtype=bool)
+    masked = {}
+    for reason, where in reasons.items():
+        count = int(np.count_nonzero(usable & where))
+        if count:
+            masked[reason] = count
+        usable &= ~where
+    radiance[~np.isfinite(radiance) | reasons["missing"]] = np.nan
+    return radiance, usable, masked
+
+
+def _saturated(radiance, saturation):
+    """Samples at the given limit, or at a maximum repeated over neighbouring wavelengths."""
+    finite = np.where(np.isfinite(radiance), radiance, -np.inf)
+    highest = np.max(finite, axis=-1, keepdims=True)
+    at_highest = (finite == highest) & (highest > 0.0)
+    found = np.zeros(radiance.shape, dtype=bool)
+    count = radiance.shape[-1] - _SATURATED_RUN + 1
+    if count > 0:
+        run = np.ones((*radiance.shape[:-1], count), dtype=bool)
+        for shift in range(_SATURATED_RUN):
+            run &= at_highest[..., shift : shift + count]
+        found = at_highest & np.any(run, axis=-1, keepdims=True)
+    if saturation is not None:
+        found |= finite >= saturation
+    return found
+
+
+def check_angles(name: str, zenith: np.ndarray, azimuth: np.ndarray, known: bool = False) -> None:
+    """Raise where view angles in degrees look like radians.
+
+    **Arguments** `zenith`, `azimuth`: degrees; `known`: the file's units were radians, converted.
+
+    **Valid** certain only for a scan: more than three directions, none past 1.6.
+    """
+    directions = len(set(zip(zenith.tolist(), azimuth.tolist(), strict=True)))
+    if not known and directions > 3 and 0.0 < np.max(zenith) <= _RADIAN_LIMIT:
+        raise ValueError(
+            f"{name}: column `view_zenith`: expected degrees, found {directions} directions none "
+            f"past {np.max(zenith):g}; are these radians?"
+        )
+
+
+def _check_directions(found):
+    zenith, azimuth = found.view_zenith.astype(np.float64), found.view_azimuth.astype(np.float64)
+    # At the zenith an azimuth means nothing, and files leave it out.
+    azimuth = np.where(np.isnan(azimuth) & (zenith == 0.0), 0.0, azimuth)
+    for column, values, low, high in (
+        ("view_zenith", zenith, 0.0, 180.0),
+        ("view_azimuth", azimuth, -360.0, 720.0),
+    ):
+        wrong = ~((values >= low) & (values <= high))
+        if np.any(wrong):
+            index = int(np.argmax(wrong))
+            raise ValueError(
+                f"{found.name}: {_row(found, 'direction', index)}, column `{column}`: "
+                f"expected degrees in [{low:g}, {high:g}], found {values[index]:g}"
+            )
+    check_angles(found.name, zenith, azimuth, found.angles_known)
+    return zenith, azimuth % 360.0
+
+
+def _row(found, axis, index):
+    rows = found.rows.get(axis)
+    return f"{axis} {index}" if rows is None else f"row {rows[index]}"
+
+
+def _check_wavelengths(found):
+    wavelength = found.wavelength.astype(np.float64)
+    start = f"{found.name}: column `wavelength`: expected"
+    wrong = ~(np.isfinite(wavelength) & (wavelength > 0.0))
+    if np.any(wrong):
+        index = int(np.argmax(wrong))
+        raise ValueError(
+            f"{found.name}: {_row(found, 'wavelength', index)}, column `wavelength`: expected "
+            f"positive nm, found {wavelength[index]:g}"
+        )
+    if np.max(wavelength) < 10.0:
+        unit = "m" if np.max(wavelength) < 1e-3 else "um"
+        raise ValueError(f"{start} nm, found none past {np.max(wavelength):g}; are these {unit}?")
+    if np.min(wavelength) > _LONGEST_NM:
+        raise ValueError(f"{start} nm, found none below {np.min(wavelength):g}; are these angstrom?")
+    order = np.argsort(wavelength, kind="stable")
+    same = np.flatnonzero(np.diff(wavelength[order]) == 0.0)
+    if same.size:
+        first, second = order[same[0]], order[same[0] + 1]
+        raise ValueError(f"{start} different values, found {wavelength[first]:g} nm at positions {first} and {second}")
+    return wavelength[order], order
+
+
+def _small_angles(found, zenith, azimuth, sun_zenith, sun_azimuth):
+    """Notes on degrees that look like radians, where a scan could also be one of a small part of the sky."""
+    turn = 2.0 * np.pi + 0.01
+    around = azimuth[zenith > 0.0]
+    if not found.angles_known and len(np.unique(around)) > 3 and np.max(around) <= turn:
+        yield f"view azimuths lie within {np.max(around):.2f} degrees of north: are these radians?"
+    if np.all((sun_zenith <= _RADIAN_LIMIT) & (sun_azimuth <= turn)):
+        yield f"the sun is within {np.max(sun_zenith):.2f} degrees of the zenith: are these radians?"
+    latitude, longitude = (found.station.get(key, np.nan) for key in ("latitude", "longitude"))
+    if 0.0 < abs(latitude) <= 0.5 * np.pi and 0.0 < abs(longitude) <= np.pi:
+        yield f"the station is at latitude {latitude:g}, longitude {longitude:g}, in degrees: are these radians?"
+
+
+def _check_station(name, station):
+    ranges = {key.removesuffix("_deg"): limits for key, limits in STATION_RANGES.items()}
+    for key, value in station.items():
+        low, high, unit = ranges[key]
+        if not low <= value <= high:
+            raise ValueError(f"{name}: `{key}`: expected {low:g} to {high:g} {unit}, found {value:g}")
+
+
+def _place_sun(found):
+    """Zenith and azimuth in degrees: the file's where finite, else from time and place."""
+    zenith, azimuth = found.sun_zenith.astype(np.float64), found.sun_azimuth.astype(np.float64)
+    for column, values, low, high in (
+        ("sun_zenith", zenith, 0.0, 180.0),
+        ("sun_azimuth", azimuth, -360.0, 720.0),
+    ):
+        wrong = np.isinf(values) | (values < low) | (values > high)
+        if np.any(wrong):
+            index = int(np.argmax(wrong))
+            raise ValueError(
+                f"{found.name}: {_row(found, 'time', index)}, column `{column}`: "
+                f"expected degrees in [{low:g}, {high:g}], found {values[index]:g}"
+            )
+    without = ~(np.isfinite(zenith) & np.isfinite(azimuth))
+    station = found.station
+    if np.any(without):
+        lacks = [key for key in ("latitude", "longitude") if key not in station]
+        if np.any(np.isnat(found.time[without])):
+            lacks.append("time")
+        if lacks:
+            raise ValueError(
+                f"{found.name}: expected columns `sun_zenith` and `sun_azimuth`, or `latitude`, "
+                f"`longitude` and `time` to compute them; found no " + ", ".join(lacks)
+            )
+        computed = solar_position(
+            found.time[without],
+            station["latitude"],
+            station["longitude"],
+            station.get("altitude_m", 0.0),
+            station.get("pressure_pa"),
+        )
+        for values, filled in zip((zenith, azimuth), computed, strict=True):
+            values[without] = np.where(np.isfinite(values[without]), values[without], np.rad2deg(filled))
+        found.notes.append(
+            f"sun position of {int(np.sum(without))} of {len(without)} times computed (pvlib, "
+            "apparent zenith with refraction)"
+        )
+    stated = ~without & ~np.isnat(found.time)
+    if np.any(stated) and "latitude" in station and "longitude" in station:
+        place = float(station["latitude"]), float(station["longitude"])
+        sentence = sun_agreement(zenith[stated], azimuth[stated], found.time[stated], *place, found.turned)
+        found.notes += [sentence] if sentence else []
+    return zenith, azimuth % 360.0

@@ -1,0 +1,395 @@
+"""Tidy CSV: one row is one sample."""
+
+import csv
+import re
+from collections.abc import Iterator
+from datetime import datetime, UTC
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ..samples import Sky
+from ..units import RADIANCE, radiance_factor
+from .grid import Axis, fill, repeated
+from .netcdf import attributes, degrees
+from .screening import assemble, check_angles, Contents
+
+
+_REQUIRED = ("view_zenith", "view_azimuth", "wavelength", "radiance")
+# What an empty cell means; None where it is an error.
+_EMPTY = {
+    **dict.fromkeys(_REQUIRED),
+    "radiance": np.nan,
+    "sigma": np.nan,
+    "suspect": 0.0,
+    **dict.fromkeys(("sun_zenith", "sun_azimuth", "latitude", "longitude"), np.nan),
+    **dict.fromkeys(("direct_normal_irradiance", "direct_normal_irradiance_sigma"), np.nan),
+}
+_UNKNOWN = np.datetime64("NaT", "ns").astype(np.int64).item()
+_STATION = {
+    "latitude": "latitude",
+    "longitude": "longitude",
+    "altitude_m": "altitude_m",
+    "elevation_m": "altitude_m",
+    "pressure_pa": "pressure_pa",
+    "fwhm_nm": "fwhm_nm",
+}
+# Per row these say one thing per time, or one for the whole file.
+_PER_TIME = ("sun_zenith", "sun_azimuth")
+_PER_FILE = ("latitude", "longitude")
+# and these one thing per time and wavelength
+_BEAM = ("direct_normal_irradiance", "direct_normal_irradiance_sigma")
+# A grid this large and this empty comes from samples that share no grid.
+_LARGEST_GRID = 20_000_000
+_EMPTIEST_GRID = 100
+# datetime holds microseconds: what is finer goes straight to NumPy.
+_NANOSECONDS = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d\.\d{7,9}[Zz]?")
+
+
+def read_tidy(path: Path, station: dict[str, float]) -> Sky:
+    """A tidy CSV of sky radiance as a `Sky`.
+
+    **Arguments**
+
+    - `path`: columns view_zenith, view_azimuth (degrees), wavelength (nm), radiance
+      (W m^-2 sr^-1 nm^-1), optionally time (ISO, UTC), sigma, suspect (1 = masked), sun_zenith,
+      sun_azimuth, latitude, longitude, direct_normal_irradiance and direct_normal_irradiance_sigma (W m^-2 nm^-1, the
+      same in all rows of a time and wavelength); lines `# key: value` above carry latitude, longitude,
+      altitude_m, pressure_pa, fwhm_nm, saturation, units
+    - `station`: numbers that stand instead of the file's own, by name
+
+    **Returns** a `Sky`; directions are the union over times, with masked samples where absent.
+
+    **Valid** a sample given twice, or text where a number belongs, is a `ValueError` with its row.
+    """
+    name = path.name
+    header, comments, rows = _open(path)
+    _require(name, header, _REQUIRED)
+    lines, cells = [], []
+    for line, row in rows:
+        lines.append(line)
+        cells.append(row)
+    if not lines:
+        raise ValueError(f"{name}: expected rows of samples below the header, found none")
+    texts = dict(zip(header, zip(*cells, strict=True), strict=True))
+    number = {key: _column(name, lines, key, texts[key], empty) for key, empty in _EMPTY.items() if key in texts}
+    times, directions, wavelengths = Axis(), Axis(), Axis()
+    # Without a column `time` all samples are of one time, which is not known.
+    moments = _moments(name, lines, texts["time"]) if "time" in texts else [_UNKNOWN] * len(lines)
+    angles = zip(number["view_zenith"].tolist(), number["view_azimuth"].tolist(), strict=True)
+    index = np.array(
+        [
+            [times.place(moment) for moment in moments],
+            [directions.place(pair) for pair in angles],
+            [wavelengths.place(value) for value in number["wavelength"].tolist()],
+        ]
+    )
+    shape = (len(times), len(directions), len(wavelengths))
+    _check_grid(name, shape, len(lines))
+    twice = repeated(shape, index)
+    if twice is not None:
+        raise ValueError(
+            f"{name}: rows {lines[twice[0]]} and {lines[twice[1]]}: expected each time, direction "
+            "and wavelength once, found the same sample twice"
+        )
+    numbers, factor, saturation, notes = _header_numbers(name, comments)
+    sun = {key: np.full(len(times), np.nan) for key in _PER_TIME}
+    for key in _PER_TIME:
+        if key in number:
+            sun[key] = _shared(name, lines, key, number[key], index[0], "time")
+    for key in _PER_FILE:
+        if key in number:
+            place = _shared(name, lines, key, number[key], np.zeros_like(index[0]), "file")
+            if np.isfinite(place[0]):
+                numbers[key] = float(place[0])
+    beam = [_beam(name, lines, key, number, index, shape) for key in _BEAM]
+    numbers.update(station)
+    unused = [key for key in header if key not in number and key != "time"]
+    if unused:
+        notes.append("columns not used: " + ", ".join(unused))
+    zenith, azimuth = np.array(directions.values()).T
+    time = np.array(times.values(), dtype=np.int64).view("datetime64[ns]")
+    order = np.argsort(time, kind="stable")
+
+    first = {
+        axis: np.array(lines)[np.unique(places, return_index=True)[1]].tolist()
+        for axis, places in zip(("time", "direction", "wavelength"), index, strict=True)
+    }
+    first["time"] = [first["time"][place] for place in order]
+
+    def gridded(key, absent):
+        return fill(shape, index, number[key], absent)[order]
+
+    return assemble(
+        Contents(
+            name=name,
+            radiance=gridded("radiance", np.nan) * factor,
+            sigma=gridded("sigma", np.nan) * factor if "sigma" in number else None,
+            suspect=gridded("suspect", 0.0) != 0.0 if "suspect" in number else None,
+            direct=None if beam[0] is None else beam[0][order],
+            direct_sigma=None if beam[1] is None else beam[1][order],
+            view_zenith=zenith,
+            view_azimuth=azimuth,
+            wavelength=np.array(wavelengths.values()),
+            time=time[order],
+            sun_zenith=sun["sun_zenith"][order],
+            sun_azimuth=sun["sun_azimuth"][order],
+            station=numbers,
+            saturation=None if saturation is None else saturation * factor,
+            notes=notes,
+            rows=first,
+        )
+    )
+
+
+def read_directions(
+    path: str | Path,
+) -> tuple[Float[np.ndarray, " direction"], Float[np.ndarray, " direction"]]:
+    """View directions from a CSV with the columns view_zenith and view_azimuth in degrees.
+
+    **Arguments** `path`: the file; other columns are not looked at.
+
+    **Returns** zenith and azimuth (clockwise from north), rad, [direction], in the file's order.
+
+    **Valid** zenith angles of 0 to 90 degrees; a direction below the horizon is a `ValueError`.
+    """
+    path = Path(path)
+    name = path.name
+    header, _, rows = _open(path)
+    _require(name, header, _REQUIRED[:2])
+    angles = []
+    for line, cells in rows:
+        pair = [_number(name, line, key, cells[header.index(key)], None) for key in _REQUIRED[:2]]
+        for key, value, low, high in zip(_REQUIRED[:2], pair, (0.0, -360.0), (90.0, 720.0), strict=True):
+            if not low <= value <= high:
+                raise ValueError(
+                    f"{name}: row {line}, column `{key}`: expected degrees in [{low:g}, {high:g}], found {value:g}"
+                )
+        angles.append(pair)
+    if not angles:
+        raise ValueError(f"{name}: expected rows of directions below the header, found none")
+    zenith, azimuth = np.array(angles).T
+    check_angles(name, zenith, azimuth)
+    return np.deg2rad(zenith), np.deg2rad(azimuth)
+
+
+def read_numbers(path: Path) -> tuple[list[str], Float[np.ndarray, "row column"]]:
+    """The header and the numbers of a CSV of numbers alone.
+
+    **Valid** a cell that is no finite number is a `ValueError` with its row.
+    """
+    header, _, rows = _open(path)
+    numbers = [
+        [_number(path.name, line, key, cell, None) for key, cell in zip(header, cells, strict=True)]
+        for line, cells in rows
+    ]
+    return header, np.array(numbers).reshape(-1, len(header))
+
+
+def _open(path):
+    """Header, `# key: value` comments and (line number, cells) of the rows, all checked."""
+    name = path.name
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{name}: expected CSV text in UTF-8, found bytes ({error})") from None
+    except OSError as error:
+        raise ValueError(f"{name}: cannot be read: {error.strerror}") from None
+    comments, lines, numbers = [], [], []
+    for number, line in enumerate(text.split("\n"), start=1):
+        if line.lstrip().startswith("#"):
+            comments.append((number, line.lstrip().lstrip("#").strip()))
+        elif line.strip():
+            lines.append(line)
+            numbers.append(number)
+    if not lines:
+        raise ValueError(f"{name}: expected a header row and samples, found an empty file")
+    try:
+        header = [cell.strip() for cell in next(csv.reader(lines[:1], strict=True))]
+    except csv.Error as error:
+        raise ValueError(f"{name}: row {numbers[0]}: expected CSV, found {error}") from None
+    for position, key in enumerate(header):
+        if key in header[:position]:
+            raise ValueError(f"{name}: row {numbers[0]}: expected different columns, found `{key}` twice")
+    return header, comments, _rows(name, header, lines, numbers)
+
+
+def _rows(name, header, lines, numbers) -> Iterator[tuple[int, list[str]]]:
+    reader = csv.reader(lines[1:], strict=True)
+    while True:
+        # A quote that is never closed would swallow the lines after it.
+        line = numbers[min(reader.line_num + 1, len(numbers) - 1)]
+        try:
+            cells = next(reader)
+        except StopIteration:
+            return
+        except csv.Error as error:
+            raise ValueError(f"{name}: row {line}: expected CSV, found {error}") from None
+        if len(cells) != len(header):
+            raise ValueError(f"{name}: row {line}: expected {len(header)} columns as in the header, found {len(cells)}")
+        yield line, cells
+
+
+def _require(name, header, keys):
+    lacking = [key for key in keys if key not in header]
+    if lacking:
+        raise ValueError(
+            f"{name}: expected column {', '.join(f'`{key}`' for key in lacking)}, found {', '.join(header)[:200]}"
+        )
+
+
+def _number(name, line, key, text, empty):
+    text = text.strip()
+    if text == "" and empty is not None:
+        return empty
+    try:
+        # Python takes 1_000 for a number; a table does not mean that.
+        value = float("none" if "_" in text else text)
+    except ValueError:
+        value = None
+    if value is None or (empty is None and not np.isfinite(value)):
+        raise ValueError(f"{name}: row {line}, column `{key}`: expected a number, found {text[:60]!r}")
+    return value
+
+
+def _column(name, lines, key, texts, empty):
+    """A column as numbers; an empty cell is `empty`, or an error if that is None."""
+    known = {}
+    for line, text in zip(lines, texts, strict=True):
+        if text not in known:
+            known[text] = _number(name, line, key, text, empty)
+    return np.array([known[text] for text in texts])
+
+
+def _moments(name, lines, texts):
+    """Times as nanoseconds since 1970."""
+    known = {}
+    for line, text in zip(lines, texts, strict=True):
+        if text not in known:
+            known[text] = _moment(name, line, text.strip()).astype(np.int64).item()
+    return [known[text] for text in texts]
+
+
+def _moment(name, line, text):
+    try:
+        moment = datetime.fromisoformat(text)
+        if not 1678 < moment.year < 2262:
+            raise ValueError
+        if _NANOSECONDS.fullmatch(text):
+            return np.datetime64(text.rstrip("Zz"), "ns")
+        if moment.tzinfo is not None:
+            moment = moment.astimezone(UTC).replace(tzinfo=None)
+        return np.datetime64(moment, "ns")
+    except (ValueError, OverflowError):
+        raise ValueError(
+            f"{name}: row {line}, column `time`: expected an ISO time such as 2013-05-27T14:00:00Z, found {text[:60]!r}"
+        ) from None
+
+
+def _shared(name, lines, key, values, group, scope):
+    """The one value of each group; rows of one group must not differ."""
+    _, first = np.unique(group, return_index=True)
+    expected = values[first][group]
+    differs = (values != expected) & ~(np.isnan(values) & np.isnan(expected))
+    if np.any(differs):
+        row = int(np.argmax(differs))
+        raise ValueError(
+            f"{name}: row {lines[row]}, column `{key}`: expected one value per {scope}, found "
+            f"{values[row]:g} after {expected[row]:g} in row {lines[first[group[row]]]}"
+        )
+    return values[first]
+
+
+def _beam(name, lines, key, number, index, shape):
+    """A column of the sun's beam, [time, wavelength], NaN where the table has no row; None where it is absent."""
+    if key not in number:
+        return None
+    places, group = np.unique(index[0] * shape[2] + index[2], return_inverse=True)
+    values = np.full(shape[0] * shape[2], np.nan)
+    values[places] = _shared(name, lines, key, number[key], group, "time and wavelength")
+    return values.reshape(shape[0], shape[2])
+
+
+def _check_grid(name, shape, count):
+    size = shape[0] * shape[1] * shape[2]
+    if size > _LARGEST_GRID and size > _EMPTIEST_GRID * count:
+        raise ValueError(
+            f"{name}: columns `time`, `view_zenith`, `view_azimuth`, `wavelength`: expected "
+            f"samples on a shared grid, found {count} samples on {shape[0]} times, {shape[1]} "
+            f"directions and {shape[2]} wavelengths"
+        )
+
+
+def _header_numbers(name, comments):
+    """Station, factor of the units, saturation and notes from the `# key: value` lines."""
+    station, saturation, factor, notes = {}, None, 1.0, []
+    for line, text in comments:
+        key, colon, value = (part.strip() for part in text.partition(":"))
+        if not colon:
+            continue
+        if key in _STATION:
+            station[_STATION[key]] = _number(name, line, key, value, None)
+        elif key == "saturation":
+            saturation = _number(name, line, key, value, None)
+        elif key == "units":
+            try:
+                factor = radiance_factor(value)
+            except ValueError as error:
+                raise ValueError(f"{name}: row {line}: {error}") from None
+            if factor != 1.0:
+                notes.append(f"radiance converted from {value} to {RADIANCE}")
+        elif key == "note":
+            notes.append(value)
+    return station, factor, saturation, notes
+
+
+def write_tidy(sky: Sky, path: Path) -> None:
+    """Write `sky` as the tidy CSV that `read_tidy` reads; a sample that is NaN has no number.
+
+    **Arguments** `path`: the file; written in place, see `writing.atomic`.
+
+    **Valid** times that are known and differ, unless there is one; directions that differ.
+    """
+    timed = not (len(sky.time) == 1 and np.isnat(sky.time[0]))
+    if timed and (np.any(np.isnat(sky.time)) or len(np.unique(sky.time)) < len(sky.time)):
+        raise ValueError("a CSV tells times apart by `time`: expected all to be known and to differ; write NetCDF")
+    zenith, azimuth = degrees(sky.view_zenith).tolist(), degrees(sky.view_azimuth).tolist()
+    if len(set(zip(zenith, azimuth, strict=True))) < len(zenith):
+        raise ValueError(
+            "a CSV tells directions apart by `view_zenith` and `view_azimuth`: expected all to differ; write NetCDF"
+        )
+    header = (["time"] if timed else []) + list(_REQUIRED)
+    header += (["sigma"] if sky.sigma is not None else []) + ["suspect", *_PER_TIME]
+    beam = [values for values in (sky.direct_irradiance, sky.direct_sigma) if values is not None]
+    header += _BEAM[: len(beam)]
+    sun_zenith, sun_azimuth = degrees(sky.sun_zenith).tolist(), degrees(sky.sun_azimuth).tolist()
+    wavelengths = sky.wavelength_nm.tolist()
+    with open(path, "w", encoding="utf-8", newline="") as stream:
+        for key, value in attributes(sky).items():
+            stream.write(f"# {key}: {value!r}\n")
+        stream.write(f"# units: {RADIANCE}\n")
+        for note in sky.notes:
+            stream.write(f"# note: {' '.join(note.split())}\n")
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(header)
+        for time, moment in enumerate(sky.time):
+            start = [_iso(moment)] if timed else []
+            for direction, angles in enumerate(zip(zenith, azimuth, strict=True)):
+                rows = sky.radiance[time, direction].tolist()
+                sigma = None if sky.sigma is None else sky.sigma[time, direction].tolist()
+                masked = (~sky.usable[time, direction]).astype(int).tolist()
+                for place, wavelength in enumerate(wavelengths):
+                    row = [*start, *angles, wavelength, _cell(rows[place])]
+                    row += [] if sigma is None else [_cell(sigma[place])]
+                    row += [masked[place], sun_zenith[time], sun_azimuth[time]]
+                    writer.writerow([*row, *(_cell(float(values[time, place])) for values in beam)])
+
+
+def _iso(moment):
+    whole = moment.astype("datetime64[s]")
+    return f"{whole if whole == moment else moment}Z"
+
+
+def _cell(value):
+    return "" if np.isnan(value) else value

@@ -1,0 +1,279 @@
+"""Measured sky: samples of spectral radiance over time, direction and wavelength, on the host."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from ..atmosphere import pressure_at_altitude, SEA_LEVEL_PRESSURE
+
+
+# what a station can be: in the troposphere, whose pressure `pressure_at_altitude` knows; the narrowest line shape
+# tells nm from m
+STATION_RANGES = {
+    "latitude_deg": (-90.0, 90.0, "degrees, north positive"),
+    "longitude_deg": (-180.0, 360.0, "degrees, east positive"),
+    "altitude_m": (-500.0, 11e3, "m"),
+    "pressure_pa": (2e3, 120e3, "Pa"),
+    "fwhm_nm": (1e-3, 1000.0, "nm"),
+}
+# An azimuth may be unwrapped by a turn or two; past seven half turns it must be in degrees.
+_LARGEST_AZIMUTH = 7.0 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class Sky:
+    """Measured spectral radiance of the sky with the mask of what can be used.
+
+    **Arguments** (NumPy, float64; nothing here is traced by JAX)
+
+    - `radiance`: W m^-2 sr^-1 nm^-1, [time, direction, wavelength], NaN where missing
+    - `sigma`: standard deviation of `radiance`, same unit and shape, or None
+    - `usable`: bool, same shape; False where missing, negative, saturated or suspect
+    - `view_zenith`, `view_azimuth`: rad, [direction]; azimuth clockwise from north
+    - `wavelength_nm`: nm, [wavelength], increasing
+    - `sun_zenith`, `sun_azimuth`: rad, [time], in the frame of `view_azimuth`
+    - `time`: datetime64, UTC, [time]; NaT where unknown
+    - `latitude_deg`, `longitude_deg`, `altitude_m`, `pressure_pa`: the station, NaN if unknown
+    - `fwhm_nm`: full width at half maximum of the instrument's Gaussian line shape, nm, or NaN
+    - `direct_irradiance`, `direct_sigma`: of the sun's beam on a plane normal to it, W m^-2 nm^-1,
+      [time, wavelength], NaN where missing; None where it was not measured
+    - `masked`: reason -> count of samples that are not usable for it
+    - `notes`: what a user of the samples should know
+    - `source`: file name
+
+    **Returns** the sky, whose arrays agree in shape; otherwise `ValueError`.
+
+    **Valid** zenith angles in [0, pi]; a direction below the horizon must not be usable.
+    """
+
+    # Shapes are checked below, in words that a reader of files can pass on.
+    radiance: np.ndarray
+    sigma: np.ndarray | None
+    usable: np.ndarray
+    view_zenith: np.ndarray
+    view_azimuth: np.ndarray
+    wavelength_nm: np.ndarray
+    sun_zenith: np.ndarray
+    sun_azimuth: np.ndarray
+    time: np.ndarray
+    latitude_deg: float = float("nan")
+    longitude_deg: float = float("nan")
+    altitude_m: float = float("nan")
+    pressure_pa: float = float("nan")
+    fwhm_nm: float = float("nan")
+    direct_irradiance: np.ndarray | None = None
+    direct_sigma: np.ndarray | None = None
+    masked: dict[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    source: str = ""
+
+    def __post_init__(self):
+        for name in (
+            "radiance",
+            "sigma",
+            "view_zenith",
+            "view_azimuth",
+            "wavelength_nm",
+            "sun_zenith",
+            "sun_azimuth",
+            "direct_irradiance",
+            "direct_sigma",
+        ):
+            value = getattr(self, name)
+            if value is None and name in ("sigma", "direct_irradiance", "direct_sigma"):
+                continue
+            try:
+                value = np.asarray(value, dtype=np.float64)
+            except (TypeError, ValueError):
+                raise ValueError(f"`{name}` must be an array of numbers") from None
+            object.__setattr__(self, name, value)
+        usable = np.asarray(self.usable)
+        if usable.dtype != np.bool_:
+            raise ValueError(f"`usable` must be bool, got {usable.dtype}")
+        object.__setattr__(self, "usable", usable)
+        try:
+            time = np.asarray(self.time).astype("datetime64[ns]")
+        except (TypeError, ValueError):
+            raise ValueError("`time` must be an array of datetime64 (UTC)") from None
+        object.__setattr__(self, "time", time)
+        for name in STATION_RANGES:
+            object.__setattr__(self, name, float(getattr(self, name)))
+        object.__setattr__(self, "notes", tuple(self.notes))
+        self._check_shapes()
+        self._check_values()
+
+    def _check_shapes(self):
+        if self.radiance.ndim != 3:
+            raise ValueError(
+                f"`radiance` must have the axes time, direction, wavelength, got shape {self.radiance.shape}"
+            )
+        times, directions, wavelengths = self.radiance.shape
+        if 0 in self.radiance.shape:
+            raise ValueError(f"`radiance` must not be empty, got shape {self.radiance.shape}")
+        expected = {
+            "sigma": self.radiance.shape,
+            "usable": self.radiance.shape,
+            "view_zenith": (directions,),
+            "view_azimuth": (directions,),
+            "wavelength_nm": (wavelengths,),
+            "sun_zenith": (times,),
+            "sun_azimuth": (times,),
+            "time": (times,),
+            "direct_irradiance": (times, wavelengths),
+            "direct_sigma": (times, wavelengths),
+        }
+        for name, shape in expected.items():
+            value = getattr(self, name)
+            if value is not None and value.shape != shape:
+                raise ValueError(
+                    f"`{name}` must have shape {shape} to agree with `radiance` "
+                    f"{self.radiance.shape}, got {value.shape}"
+                )
+
+    def _check_values(self):
+        for name in ("view_zenith", "sun_zenith"):
+            value = getattr(self, name)
+            if not np.all((value >= 0.0) & (value <= np.pi)):
+                raise ValueError(f"`{name}` must be in [0, pi] rad, got {_extremes(value)}")
+        for name in ("view_azimuth", "sun_azimuth"):
+            value = getattr(self, name)
+            if not np.all(np.abs(value) < _LARGEST_AZIMUTH):
+                raise ValueError(f"`{name}` must be finite and in rad, got {_extremes(value)}")
+        wavelength = self.wavelength_nm
+        if not (np.all(np.isfinite(wavelength)) and np.all(np.diff(wavelength) > 0.0)):
+            raise ValueError(f"`wavelength_nm` must increase, got {_extremes(wavelength)}")
+        if wavelength[0] <= 0.0 or wavelength[-1] < 10.0:
+            raise ValueError(f"`wavelength_nm` must be in nm, got {_extremes(wavelength)}")
+        for name, (low, high, unit) in STATION_RANGES.items():
+            value = getattr(self, name)
+            if not (np.isnan(value) or low <= value <= high):
+                raise ValueError(f"`{name}` must be {low:g} to {high:g} {unit}, or NaN, got {value:g}")
+        if not np.all(np.isfinite(self.radiance[self.usable])):
+            raise ValueError("`usable` must be False where `radiance` is not finite")
+        if np.any(self.usable[:, self.view_zenith > 0.5 * np.pi + 1e-6]):
+            raise ValueError("`usable` must be False where `view_zenith` is below the horizon, past pi/2 rad")
+        if self.sigma is not None:
+            sigma = self.sigma[self.usable]
+            if not np.all((sigma > 0.0) & np.isfinite(sigma)):
+                raise ValueError("`usable` must be False where `sigma` is not positive and finite")
+
+    def counts(self) -> dict[str, int]:
+        """How many samples there are, how many are usable, and how many each reason masked.
+
+        **Returns** `{"samples": n, "usable": n, reason: n, ...}`.
+        """
+        return {
+            "samples": int(self.usable.size),
+            "usable": int(np.count_nonzero(self.usable)),
+            **self.masked,
+        }
+
+    def at(self, index: int) -> "Sky":
+        """The sky at one time, still with a time axis of length 1.
+
+        **Arguments** `index`: which time; negative counts from the end.
+
+        **Returns** a `Sky`; `masked` is counted anew, "suspect" where the samples do not tell.
+        """
+        times = len(self.time)
+        if not -times <= index < times:
+            raise ValueError(f"`index` must be in [{-times}, {times}), got {index}")
+        part = slice(index % times, index % times + 1)
+        usable = self.usable[part]
+        return replace(
+            self,
+            radiance=self.radiance[part],
+            sigma=None if self.sigma is None else self.sigma[part],
+            usable=usable,
+            sun_zenith=self.sun_zenith[part],
+            sun_azimuth=self.sun_azimuth[part],
+            time=self.time[part],
+            direct_irradiance=None if self.direct_irradiance is None else self.direct_irradiance[part],
+            direct_sigma=None if self.direct_sigma is None else self.direct_sigma[part],
+            masked=self.masked if times == 1 else self._recount(self.radiance[part], usable),
+        )
+
+    def select(self, wavelength_nm: Float[np.ndarray, " wavelength"]) -> "Sky":
+        """The sky at other wavelengths, linearly interpolated between the samples' own.
+
+        L(w) = L_i + (w - w_i) / (w_{i+1} - w_i) (L_{i+1} - L_i), and sigma likewise
+
+        **Arguments** `wavelength_nm`: nm, increasing, inside the range of the sky's own.
+
+        **Returns** a `Sky`; a sample is usable only if both its neighbours are. sigma is that of
+        fully correlated neighbours, the cautious choice. `masked` is counted anew.
+
+        **Valid** inside the range; outside it, `ValueError`.
+        """
+        wanted = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
+        own = self.wavelength_nm
+        if wanted.ndim != 1 or not np.all((wanted >= own[0]) & (wanted <= own[-1])):
+            raise ValueError(f"`wavelength_nm` must lie in [{own[0]:g}, {own[-1]:g}] nm, got {_extremes(wanted)}")
+        below = np.searchsorted(own, wanted, side="right") - 1
+        above = np.minimum(below + 1, len(own) - 1)
+        # A wavelength that is hit exactly has one neighbour: itself.
+        above = np.where(own[below] == wanted, below, above)
+        gap = np.where(above == below, 1.0, own[above] - own[below])
+        weight = (wanted - own[below]) / gap
+
+        def interpolate(values):
+            return values[..., below] + weight * (values[..., above] - values[..., below])
+
+        radiance = interpolate(self.radiance)
+        usable = self.usable[..., below] & self.usable[..., above]
+        return replace(
+            self,
+            radiance=radiance,
+            sigma=None if self.sigma is None else interpolate(self.sigma),
+            usable=usable,
+            wavelength_nm=wanted,
+            direct_irradiance=None if self.direct_irradiance is None else interpolate(self.direct_irradiance),
+            direct_sigma=None if self.direct_sigma is None else interpolate(self.direct_sigma),
+            masked=self._recount(radiance, usable),
+        )
+
+    def _recount(self, radiance, usable):
+        left = ~usable
+        below = np.broadcast_to((self.view_zenith > 0.5 * np.pi)[:, None], usable.shape[1:])
+        reasons = {
+            "missing": ~np.isfinite(radiance),
+            "negative": radiance < 0.0,
+            "below horizon": below,
+            "suspect": left,
+        }
+        counted = {}
+        for reason, where in reasons.items():
+            count = int(np.count_nonzero(left & where))
+            if count:
+                counted[reason] = count
+            left = left & ~where
+        return counted
+
+
+def _extremes(values):
+    values = np.asarray(values)
+    if values.size == 0:
+        return "none"
+    if not np.all(np.isfinite(values)):
+        return "values that are not finite"
+    return f"{values.min():g} to {values.max():g}"
+
+
+def day_of_year(time: np.datetime64) -> int:
+    """The day of the year, 1 for 1 January."""
+    return int((time.astype("datetime64[D]") - time.astype("datetime64[Y]")).astype(int)) + 1
+
+
+def station_pressure(sky: Sky) -> tuple[float, str]:
+    """The pressure at the station, Pa, by the file or by its altitude, and a note where it is assumed."""
+    if np.isfinite(sky.pressure_pa):
+        return sky.pressure_pa, ""
+    if np.isfinite(sky.altitude_m):
+        return float(pressure_at_altitude(sky.altitude_m)), ""
+    return SEA_LEVEL_PRESSURE, "no pressure or altitude in the file: Rayleigh depth of sea level"
+
+
+def time_names(sky: Sky) -> tuple[str, ...]:
+    """Each time of a sky as text, ISO in UTC, or its index where the file gives none."""
+    return tuple(f"time {i}" if np.isnat(t) else str(t.astype("datetime64[s]")) + "Z" for i, t in enumerate(sky.time))

@@ -1,0 +1,3 @@
+from .coefficients import read_coefficients as read_coefficients, write_coefficients as write_coefficients
+from .fit import load as load, save as save, write_prediction as write_prediction
+from .fits import fit_many as fit_many, read_fits as read_fits

@@ -1,0 +1,251 @@
+"""What a fit says, as the record that `record_form` documents."""
+
+import json
+import math
+import os
+from dataclasses import fields, replace
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from ...measured import atomic, Sky, write_sky
+from ...measured.readers.netcdf import degrees, write_netcdf
+from ...measured.units import RADIANCE
+from ...measured.writing import skyfit_version
+from ...retrieve import Derived, Fit, haze_optics, PARAMETERS, values_of
+from ...retrieve.parameters import partition
+from .schema import SCHEMA, VERSION
+
+
+def record_of(fit: Fit) -> dict:
+    """The record of a fit, in Python's and NumPy's types; what is not finite stands as it is."""
+    sky, solver, given = fit.sky, fit.solver, fit.measurement
+    station = ("latitude_deg", "longitude_deg", "altitude_m", "pressure_pa")
+    common, optics = [p for p, name in enumerate(fit.free) if name in fit.shared], haze_optics(fit)
+    return {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "skyfit_version": skyfit_version(),
+        "source": sky.source,
+        "solver": {"name": _class_name(solver)} | {f.name: getattr(solver, f.name) for f in fields(solver)},
+        "geometry": solver.geometry,
+        "instrument": {"fwhm_nm": fit.fwhm_nm, "response": _response(fit)},
+        "station": {name: getattr(sky, name) for name in station},
+        "atmosphere": kinds_of(fit.start) | {"constants": constants_of(fit.start)},
+        "measurement": {
+            "relative": given.relative,
+            "floor": given.floor,
+            "calibration": given.calibration,
+            "calibration_prior": given.calibration_prior(sky),
+            "model_error": fit.model_error,
+            "field_of_view_deg": np.round(np.degrees(given.field_of_view), 10),
+            "loss": given.loss,
+            "threshold": given.threshold,
+        },
+        "priors": {n: {"value": v, "sigma": s, "unit": PARAMETERS[n].unit} for n, (v, s) in fit.priors.items()},
+        "smooth": {n: {"sigma_per_hour": s, "unit": _scale_unit(n)} for n, s in fit.smooth.items()},
+        "free": list(fit.free),
+        "shared": {
+            "parameters": _parameters(fit, 0, common),
+            "correlation": fit.correlation[0][np.ix_(common, common)],
+        },
+        "fixed": {n: {"value": v, "unit": PARAMETERS[n].unit} for n, v in fit.fixed.items()},
+        "calibration": {
+            "wavelength_nm": fit.fitted_nm,
+            "scale": _once(fit.calibration),
+            "sigma": _once(fit.calibration_sigma),
+        },
+        "times": [_time_record(fit, t, optics) for t in range(len(sky.time))],
+        "total_rmse": fit.total_rmse,
+        "notes": list(fit.notes),
+    }
+
+
+def _response(fit: Fit) -> dict | None:
+    response = fit.response
+    return None if response is None else {"wavelength_nm": response.wavelength_nm, "weight": response.weight}
+
+
+def _scale_unit(name: str) -> str:
+    """The unit of a change on the parameter's scale: a logarithm has none."""
+    return "1" if PARAMETERS[name].log else PARAMETERS[name].unit
+
+
+def _once(rows: np.ndarray) -> np.ndarray:
+    """The rows of all times, or one where all are the same."""
+    return rows[:1] if np.array_equal(rows, np.broadcast_to(rows[:1], rows.shape), equal_nan=True) else rows
+
+
+def _parameters(fit: Fit, t: int, places: list[int]) -> dict:
+    return {
+        fit.free[p]: {
+            "value": fit.values[t, p],
+            "unit": PARAMETERS[fit.free[p]].unit,
+            "sigma": fit.sigma[t, p],
+            "model_sigma": fit.model_sigma[t, p],
+            "at_bound": fit.at_bound[t, p],
+            "determined": fit.determined[t, p],
+        }
+        for p in places
+    }
+
+
+def _time_record(fit: Fit, t: int, optics: dict[str, Derived]) -> dict:
+    sky = fit.sky
+    masked = dict(sky.at(t).masked)
+    left_out = int(np.sum(sky.usable[t] & ~fit.used[t]))
+    if left_out:
+        masked["not modelled"] = left_out
+    return {
+        "time": _iso(sky.time[t]),
+        "sun_zenith_deg": degrees(sky.sun_zenith)[t],
+        "sun_azimuth_deg": degrees(sky.sun_azimuth)[t],
+        "parameters": _parameters(fit, t, [p for p, name in enumerate(fit.free) if name not in fit.shared]),
+        "correlation": fit.correlation[t],
+        "haze": {n: {"value": d.value[t], "sigma": d.sigma[t], "unit": d.unit} for n, d in optics.items()},
+        "result": fit.result[t],
+        "steps": fit.steps[t],
+        "rmse": fit.rmse[t],
+        "rmse_unit": RADIANCE if fit.response is None else "of the channels",
+        "samples": np.sum(fit.used[t]),
+        "masked": masked,
+        "reduced_chi_square": fit.reduced_chi_square[t],
+        "scale": fit.scale[t],
+        "degrees_of_freedom": fit.degrees_of_freedom[t],
+        "rejected": _rejected(fit, t),
+        "undetermined": list(fit.undetermined[t]),
+    }
+
+
+def _rejected(fit: Fit, t: int) -> list[dict]:
+    sky, weight = fit.sky, fit.weight[t]
+    return [
+        {
+            "view_zenith_deg": degrees(sky.view_zenith)[d],
+            "view_azimuth_deg": degrees(sky.view_azimuth)[d],
+            "weight": np.nanmean(weight[d]),
+        }
+        for d in np.flatnonzero(fit.rejected[t])
+    ]
+
+
+def _iso(time: np.datetime64) -> str | None:
+    if np.isnat(time):
+        return None
+    whole = time.astype("datetime64[s]")
+    return str(whole if whole == time else time) + "Z"
+
+
+def names_of(model) -> list[str]:
+    """The parameters that a model has, each leaf once."""
+    return [name for name in values_of(model, PARAMETERS) if name != "turbidity"]
+
+
+def _class_name(thing) -> str | None:
+    """The class's name; with its module where it is not skyfit's own."""
+    kind = type(thing)
+    own = kind.__module__.startswith("skyfit.")
+    return None if thing is None else kind.__name__ if own else f"{kind.__module__}.{kind.__qualname__}"
+
+
+def kinds_of(model) -> dict[str, str | None]:
+    """What an atmosphere is made of."""
+    air, haze, ozone = model.atmosphere.rayleigh, model.atmosphere.aerosol, model.atmosphere.ozone
+    return {
+        "rayleigh": _class_name(air),
+        "aerosol": _class_name(haze),
+        "ozone": _class_name(ozone),
+        "rayleigh_formula": getattr(air, "formula", None),
+        "phase": _class_name(getattr(haze, "phase", None)),
+        "rayleigh_phase": _class_name(getattr(air, "phase", None)),
+        "aerosol_profile": _class_name(getattr(haze, "profile", None)),
+        "rayleigh_profile": _class_name(getattr(air, "profile", None)),
+        "ozone_profile": _class_name(getattr(ozone, "profile", None)),
+    }
+
+
+def constants_of(model) -> dict[str, object]:
+    """The leaves that no parameter names, by their place, such as "atmosphere.ozone.profile.height"."""
+    _, rest = partition(model, tuple(names_of(model)))
+    leaves, _ = jax.tree_util.tree_flatten_with_path(rest)
+    return {place_of(path): np.asarray(leaf).tolist() for path, leaf in leaves}
+
+
+def place_of(path) -> str:
+    return jax.tree_util.keystr(path, simple=True, separator=".")
+
+
+# numbers of `gain` that a file holds
+_MOST_GAIN = 2_000_000
+
+
+def save(fit: Fit, path: str | os.PathLike) -> None:
+    """Write a fit, whole or not at all.
+
+    **Arguments:** `fit`, from `skyfit.invert`; `path`, `*.json` for parameters and uncertainties (`load`
+    reads it back) or `*.nc` for the measured, fitted and residual radiance and the samples' weights.
+    **Valid:** any other suffix is a `ValueError`; a failure leaves no file and keeps an old one.
+    """
+    target = Path(path)
+    writer = {".json": _write_json, ".nc": _write_field}.get(target.suffix.lower())
+    if writer is None:
+        raise ValueError(f"{target.name}: expected a suffix of .json, .nc, found {target.suffix!r}")
+    with atomic(target) as part:
+        writer(fit, part)
+
+
+def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) -> None:
+    """Write predicted radiance on a sky's times, directions and wavelengths, as `skyfit.read` reads it.
+
+    **Arguments:** `sky`, the places and times; `radiance`, W m^-2 sr^-1 nm^-1, `[time, direction,
+    wavelength]`, NaN where there is none; `path`, `*.nc` (or `*.csv`, a tidy table).
+    **Valid:** a failure leaves no file and keeps an old one.
+    """
+    radiance = np.asarray(radiance, np.float64)
+    if radiance.shape != sky.radiance.shape:
+        raise ValueError(f"`radiance` must have the shape {sky.radiance.shape} of `sky`, got {radiance.shape}")
+    seen = (sky.view_zenith <= 0.5 * np.pi)[None, :, None]
+    usable = np.isfinite(radiance) & (radiance >= 0.0) & seen
+    notes = (f"predicted by skyfit for the samples of {sky.source}",)
+    predicted = {"radiance": radiance, "sigma": None, "usable": usable, "direct_irradiance": None, "direct_sigma": None}
+    write_sky(replace(sky, **predicted, masked={}, notes=notes), path)
+
+
+def _write_field(fit: Fit, part: Path) -> None:
+    import xarray
+
+    everywhere, fitted = ("time", "direction", "wavelength"), ("time", "direction", "fitted_wavelength")
+    residual = np.where(fit.used, fit.residual, np.nan)
+    variables: dict[str, tuple] = {
+        "model": (everywhere, fit.model, {"units": RADIANCE, "long_name": "fitted spectral radiance"}),
+        "residual": (everywhere, residual, {"units": RADIANCE, "long_name": "model minus radiance where it was used"}),
+        "weight": (fitted, fit.weight, {"units": "1", "long_name": "trust of the loss in the sample"}),
+    }
+    coordinates = {"fitted_wavelength": ("fitted_wavelength", fit.fitted_nm, {"units": "nm"})}
+    if fit.gain.size <= _MOST_GAIN:
+        about = {"units": f"unit of the parameter per {RADIANCE}", "long_name": "d parameter / d radiance of its time"}
+        variables["gain"] = (("time", "parameter", *fitted[1:]), fit.gain.astype(np.float32), about)
+        coordinates["parameter"] = ("parameter", np.array(fit.free, dtype=object), {})
+    write_netcdf(fit.sky, part)
+    encoding = {name: {"zlib": True} for name in variables}
+    data = xarray.Dataset(variables, coordinates)
+    data.to_netcdf(part, mode="a", engine="h5netcdf", encoding=encoding)
+
+
+def _write_json(fit: Fit, part: Path) -> None:
+    text = json.dumps(_strict(record_of(fit)), allow_nan=False, ensure_ascii=False, indent=2)
+    part.write_text(text + "\n", encoding="utf-8")
+
+
+def _strict(value):
+    """The value in Python's own types, with None for what is not finite."""
+    if isinstance(value, dict):
+        return {key: _strict(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(entry) for entry in value]
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
+        return _strict(np.asarray(value).tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

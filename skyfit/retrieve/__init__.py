@@ -1,0 +1,26 @@
+from .aerosol_optics import Derived as Derived, haze_optics as haze_optics
+from .batch import Fits as Fits
+from .design import (
+    Choice as Choice,
+    fisher_information as fisher_information,
+    next_directions as next_directions,
+    posterior_covariance as posterior_covariance,
+    sensitivity as sensitivity,
+)
+from .forward import simulate as simulate
+from .invert import (
+    DEFAULT_FREE as DEFAULT_FREE,
+    invert as invert,
+    PARTICLE_FREE as PARTICLE_FREE,
+    predict as predict,
+    SLOW as SLOW,
+)
+from .model import SkyModel as SkyModel
+from .parameters import (
+    check_free as check_free,
+    PARAMETERS as PARAMETERS,
+    start_model as start_model,
+    values_of as values_of,
+    with_values as with_values,
+)
+from .result import Fit as Fit, Fitted as Fitted

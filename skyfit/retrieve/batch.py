@@ -1,0 +1,258 @@
+"""Every time of a sky fitted by itself, many in one call: long series and pixels."""
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Float, Int
+
+from ..measured import Sky
+from ..measured.quality.oddities import examine
+from ..measured.quality.plausibility import beyond_sigma, POOR
+from ..numerics.chain import Point
+from .estimate import estimate
+from .invert import described, Plan
+
+
+# how a time can end; all but the first three have NaN for values
+RESULTS = (
+    "successful", "poor_fit", "max_steps_reached", "failed", "no_samples", "too_few_samples", "sun_below_horizon",
+    "not_a_sky",
+)  # fmt: skip
+_VALUED = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """Parameters of many skies, each fitted by itself; host-side arrays.
+
+    - `values`, `sigma`, `model_sigma`, `at_bound`, `determined` `[time, parameter]` and `covariance` `[time, parameter,
+      parameter]` as in `Fit`, in the order of `free`, units as in `PARAMETERS`; NaN (false) where a time has none
+    - `reduced_chi_square`, `scale`, `degrees_of_freedom` `[time]` as in `Fit`; `rmse` `[time]`, W m^-2 sr^-1 nm^-1,
+      over the usable samples at the fitted wavelengths, `samples` of them
+    - `calibration`, `calibration_sigma` `[time, fitted wavelength]`: the instrument's scale, 1 where it is not fitted
+    - `steps` `[time]`, `cost` `[time]`: half the sum of squares after the loss
+    - `result` `[time]`, among `RESULTS`: "successful"; "poor_fit" (residuals beyond a quarter of the mean radiance) and
+      "max_steps_reached", whose numbers do not hold; without any "failed" (not finite), "no_samples", "too_few_samples"
+      (fewer than parameters), "sun_below_horizon", "not_a_sky" (no sunlight makes such radiance)
+    - `notes` `[time]`: sentences on what is odd about a time's samples or residuals; `fixed`: what was not fitted
+    - `settings`: what was asked for and of which sky, as text; `time` `[time]`, UTC, NaT where unknown
+    """
+
+    time: np.ndarray
+    free: tuple[str, ...]
+    fitted_nm: np.ndarray
+    values: np.ndarray
+    sigma: np.ndarray
+    covariance: np.ndarray
+    model_sigma: np.ndarray
+    at_bound: np.ndarray
+    determined: np.ndarray
+    rmse: np.ndarray
+    samples: np.ndarray
+    reduced_chi_square: np.ndarray
+    scale: np.ndarray
+    degrees_of_freedom: np.ndarray
+    calibration: np.ndarray
+    calibration_sigma: np.ndarray
+    steps: np.ndarray
+    cost: np.ndarray
+    result: np.ndarray
+    notes: tuple[tuple[str, ...], ...]
+    fixed: dict[str, float]
+    settings: dict[str, str]
+
+    def __str__(self) -> str:
+        counts = [(name, int(np.sum(self.result == name))) for name in RESULTS]
+        told = ", ".join(f"{count} {name}" for name, count in counts if count)
+        return f"{len(self.time)} skies, {', '.join(self.free)}: {told}"
+
+
+class Outcome(NamedTuple):
+    """What an estimate of one time says; arrays only. `ended` is an index into `RESULTS`."""
+
+    values: Float[Array, "... parameter"]
+    noise: Float[Array, "... parameter parameter"]
+    model: Float[Array, "... parameter parameter"]
+    freedom: Float[Array, "..."]
+    scale: Float[Array, "..."]
+    chi_square: Float[Array, "..."]
+    calibration: Float[Array, "... channel"]
+    calibration_sigma: Float[Array, "... channel"]
+    rmse: Float[Array, "..."]
+    cost: Float[Array, "..."]
+    steps: Int[Array, "..."]
+    ended: Int[Array, "..."]
+
+
+def fit_chunks(
+    plan: Plan, times: np.ndarray, chunk: int, batch_size: int, guess: bool, starts: int
+) -> Iterator[dict[str, np.ndarray]]:
+    """The fits of some times of a plan, chunk after chunk as they end.
+
+    **Arguments:** `times`, indices; `chunk`, how many are in one call, `batch_size`, how many of them in lock-step.
+    **Returns** (yields) arrays by their names in `Fits`, and `index`, the times that they are of. All chunks have one
+    shape, so that one compilation does; they are split over all devices. On one CPU as many run at once as it has
+    cores.
+    """
+    devices = jax.local_devices()
+    mesh = Mesh(np.array(devices), ("time",))
+    # a thread for each core, which the small matrices of one fit do not keep busy. Not with fits in lock-step: LAPACK
+    # then shares each call out to XLA's threads and waits for them, for ever where all of them wait
+    alone = len(devices) == 1 and devices[0].platform == "cpu" and batch_size == 1
+    workers = (os.cpu_count() or 1) if alone else 1
+    width = -(-chunk // len(devices)) * len(devices)
+    flaws, priors = plan.flaws(), plan.prior_rows._replace(step=plan.prior_rows.step[:0])
+    waiting = (times[i : i + width] for i in range(0, len(times), width))
+    running: dict[Future, tuple[np.ndarray, list[str], list[str]]] = {}
+    pool = ThreadPoolExecutor(workers)
+    try:
+        while True:
+            # one more than there are workers, so that none waits for its arrays
+            for index in islice(waiting, workers + 1 - len(running)):
+                ends, notes = _examined(plan, index, flaws)
+                every = np.pad(index, (0, width - len(index)), mode="edge")
+                active = np.pad([not end for end in ends], (0, width - len(index)))
+                points = plan.first_points(every, guess, starts)
+                split = jax.device_put(
+                    (jnp.asarray(active), plan.problem.at(every), jnp.moveaxis(points.own, 1, 0)),
+                    NamedSharding(mesh, PartitionSpec("time")),
+                )
+                asked = plan.setup, plan.solvers, mesh, batch_size, plan.fixed, priors, *split
+                # compiled here: a thread of its own would not see this one's settings of JAX
+                running[pool.submit(_fetch, _outcomes.lower(*asked).compile(), asked)] = index, ends, notes
+            if not running:
+                return
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield _columns(plan, *running.pop(future), future.result())
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _fetch(compiled: Callable, asked: tuple) -> Any:
+    return jax.device_get(compiled(*asked))
+
+
+def _examined(plan: Plan, index: np.ndarray, flaws: list[str]) -> tuple[list[str], list[str]]:
+    """Why each time is not to be fitted, or "", and what is odd about it, a sentence a line."""
+    ends, notes = [flaws[t] for t in index], [""] * len(index)
+    if plan.sampling.response is not None:
+        return ends, notes
+    for i, t in enumerate(index):
+        try:
+            notes[i] = "\n".join(examine(plan.sky.at(int(t)), plan.sampling.used[t : t + 1]))
+        except ValueError as error:
+            notes[i] = str(error).removeprefix("`sky` ")
+            ends[i] = ends[i] or "not_a_sky"
+    return ends, notes
+
+
+@eqx.filter_jit
+def _outcomes(setup, solvers, mesh, batch_size, fixed, priors, active, problem, own) -> Outcome:
+    """The outcomes of a chunk, NaN for times that are not active, which cost nothing."""
+
+    def each_device(fixed, priors, active, problem, own):
+        # traced once, for its shapes and for itself
+        fit = jax.jit(lambda one, own: _outcome(setup, solvers, fixed, priors, one, own))
+        shapes = jax.eval_shape(fit, *jax.tree.map(lambda v: v[0], (problem, own)))
+
+        def nothing(_, __):
+            return jax.tree.map(lambda s: jnp.full(s.shape, jnp.nan if s.dtype.kind == "f" else 0, s.dtype), shapes)
+
+        def one(item):
+            active, one, own = item
+            return jax.lax.cond(active, fit, nothing, one, own)
+
+        return jax.lax.map(one, (active, problem, own), batch_size=batch_size if batch_size > 1 else None)
+
+    along, whole = PartitionSpec("time"), PartitionSpec()
+    split = jax.shard_map(
+        each_device, mesh=mesh, in_specs=(whole, whole, along, along, along), out_specs=along, check_vma=False
+    )
+    return split(fixed, priors, active, problem, own)
+
+
+def _outcome(setup, solvers, fixed, priors, one, own) -> Outcome:
+    """The outcome of one time, its time axis taken off."""
+    problem = jax.tree.map(lambda v: v[None], one)
+    starts = Point(own[:, None], jnp.zeros((own.shape[0], 0), own.dtype))
+    found = estimate(setup, solvers, fixed, problem, priors, starts)
+    used = one.weight > 0.0
+    count = jnp.maximum(jnp.sum(used), 1)
+    rmse = jnp.sqrt(jnp.sum(jnp.where(used, found.radiance[0] - one.measured, 0.0) ** 2) / count)
+    poor = ~(rmse <= POOR * jnp.sum(one.measured) / count)
+    return Outcome(
+        found.values[0], found.noise[0], found.model[0], found.freedom[0], found.scale[0], found.chi_square[0],
+        found.calibration, found.calibration_sigma, rmse, found.cost, found.steps,
+        ended(found.result, found.finite, poor),
+    )  # fmt: skip
+
+
+def ended(result, finite, poor) -> Int[Array, ""]:
+    """How a search ended, as an index into `RESULTS`.
+
+    **Arguments:** optimistix' `result`; whether its outcome is `finite`, and the fit `poor`.
+    """
+    well, late = result == optx.RESULTS.successful, result == optx.RESULTS.nonlinear_max_steps_reached
+    return jnp.where(finite & well, jnp.where(poor, 1, 0), jnp.where(finite & late, 2, 3))
+
+
+def _columns(plan: Plan, index: np.ndarray, ends: list[str], notes: list[str], outcome: Outcome) -> dict:
+    """The rows of a chunk by their names in `Fits`, padding taken off."""
+    count = len(index)
+    order = np.array([plan.setup.names.index(n) for n in plan.free])
+    result = np.array([end or RESULTS[code] for end, code in zip(ends, outcome.ended[:count], strict=True)])
+    valued = np.isin(result, RESULTS[:_VALUED])
+    # the numbers of a fit that failed may be anything
+    told = {
+        key: np.where(valued.reshape(-1, *[1] * (value.ndim - 1)), value[:count], np.nan).astype(float)
+        for key, value in outcome._asdict().items()
+    }
+    rows = [
+        described(plan.free, (), order, *row)[0]
+        for row in zip(told["values"], told["noise"], told["model"], strict=True)
+    ]
+    doubts = [
+        beyond_sigma(plan.sky, chi) if name == "successful" else ()
+        for name, chi in zip(result, told["chi_square"], strict=True)
+    ]
+    stacked = {key: np.stack([row[key] for row in rows]) for key in rows[0]}
+    return stacked | {
+        "index": np.asarray(index),
+        "rmse": told["rmse"],
+        "samples": plan.sampling.used[index][:, :, plan.chosen].sum(axis=(1, 2)),
+        "reduced_chi_square": told["chi_square"],
+        "scale": told["scale"],
+        "degrees_of_freedom": told["freedom"],
+        "calibration": told["calibration"],
+        "calibration_sigma": told["calibration_sigma"],
+        "steps": np.asarray(outcome.steps[:count]),
+        "cost": told["cost"],
+        "result": result,
+        "notes": np.array(["\n".join((*said.splitlines(), *more)) for said, more in zip(notes, doubts, strict=True)]),
+    }
+
+
+def assemble(
+    sky: Sky,
+    free: tuple[str, ...],
+    fitted_nm: np.ndarray,
+    chunks: list[dict],
+    fixed: dict[str, float],
+    settings: dict[str, str],
+) -> Fits:
+    """The rows of all chunks in the order of the times."""
+    order = np.argsort(np.concatenate([part["index"] for part in chunks]))
+    rows = {key: np.concatenate([part[key] for part in chunks])[order] for key in chunks[0] if key != "index"}
+    notes = tuple(tuple(text.splitlines()) for text in rows.pop("notes").tolist())
+    return Fits(time=sky.time, free=free, fitted_nm=fitted_nm, notes=notes, fixed=fixed, settings=settings, **rows)

@@ -1,0 +1,92 @@
+"""The arrays that a fit takes, and what an instrument would read of a model."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..numerics import as_float
+from ..scene import Directions, Scene
+from ..transport import AbstractSolver
+from ..transport.optics import optics, transmitted_sun
+from .model import SkyModel
+
+
+class Problem(eqx.Module):
+    """Samples of some times in a given order of directions; what is masked has weight 0.
+
+    Angles in radians, `irradiance` at the top of the air in W m^-2 nm^-1, `weight` one over sigma. `response` None:
+    samples are the radiance at the wavelengths themselves. `direct` irradiance on a plane normal to the sun, or None.
+    """
+
+    sun_zenith: Float[Array, " time"]
+    sun_azimuth: Float[Array, " time"]
+    view_zenith: Float[Array, "time direction"]
+    view_azimuth: Float[Array, "time direction"]
+    irradiance: Float[Array, "time wavelength"]
+    wavelength_nm: Float[Array, "time wavelength"]
+    measured: Float[Array, "time direction channel"]
+    weight: Float[Array, "time direction channel"]
+    response: Float[Array, "time channel wavelength"] | None = None
+    direct: Float[Array, "time channel"] | None = None
+    direct_weight: Float[Array, "time channel"] | None = None
+    field_of_view: float = eqx.field(static=True, default=0.0)
+
+    def at(self, times) -> "Problem":
+        """The problem of some times only."""
+        return jax.tree.map(lambda v: v[times], self)
+
+    def scene(self, model: SkyModel) -> Scene:
+        """The scene of a problem of one time (its time axis taken off), pointing offsets of the instrument included."""
+        zenith, azimuth = self.view_zenith, self.view_azimuth
+        if self.field_of_view > 0.0:
+            zenith, azimuth = _cone(zenith, azimuth, 0.5 * self.field_of_view)
+        view = Directions(zenith, azimuth)
+        return model.instrument.sees(
+            Scene(self.sun_zenith, self.sun_azimuth, view, self.wavelength_nm, self.irradiance)
+        )
+
+
+def observe(
+    solver: AbstractSolver, model: SkyModel, one: Problem
+) -> tuple[Float[Array, "direction channel"], Float[Array, " channel"] | None]:
+    """What the instrument would read of a model at one time: the sky, and the direct beam where it is measured."""
+    scene = one.scene(model)
+    radiance = solver.radiance(model.atmosphere, scene)
+    if one.field_of_view > 0.0:
+        rays = radiance.reshape(len(_CONE), -1, radiance.shape[1])
+        radiance = jnp.einsum("r,rdw->dw", as_float([weight for *_, weight in _CONE]), rays)
+    if one.response is not None:
+        radiance = radiance @ one.response.T
+    if one.direct is None:
+        return radiance, None
+    constituents = model.atmosphere.constituents
+    extinction = optics(constituents, scene.wavelength_nm).extinction
+    return radiance, scene.solar_irradiance * transmitted_sun(constituents, scene, extinction, solver.geometry)
+
+
+# rays of a cone: distance from its axis over its half angle, turn about it, weight. Exact for polynomials of degree
+# 5 over a disc (Abramowitz & Stegun 1964, 25.4.61, n = 7)
+_CONE = ((0.0, 0.0, 0.25), *((np.sqrt(2.0 / 3.0), np.pi * k / 3.0, 0.125) for k in range(6)))
+
+
+def _cone(zenith, azimuth, half_angle: float):
+    """The rays of a cone about each direction, one ray of all directions after the other; none below the horizon."""
+    zeniths, azimuths = [], []
+    for distance, turn, _ in _CONE:
+        tilt = half_angle * distance
+        cosine = jnp.cos(zenith) * np.cos(tilt) + jnp.sin(zenith) * np.sin(tilt) * np.cos(turn)
+        across = np.sin(tilt) * np.sin(turn)
+        along = jnp.sin(zenith) * np.cos(tilt) - jnp.cos(zenith) * np.sin(tilt) * np.cos(turn)
+        # at the zenith every azimuth is as good
+        at_axis = (along**2 + across**2) < 1e-12
+        zeniths.append(jnp.arctan2(jnp.sqrt(jnp.where(at_axis, 1e-12, along**2 + across**2)), jnp.maximum(cosine, 0.0)))
+        azimuths.append(azimuth + jnp.where(at_axis, 0.0, jnp.arctan2(across, jnp.where(at_axis, 1.0, along))))
+    return jnp.concatenate(zeniths), jnp.concatenate(azimuths)
+
+
+@eqx.filter_jit
+def simulate(solver: AbstractSolver, model: SkyModel, scene: Scene):
+    """The radiance a model gives in a scene, the instrument's pointing included, `[direction, wavelength]`."""
+    return solver.radiance(model.atmosphere, model.instrument.sees(scene))

@@ -1,0 +1,60 @@
+"""Where a fit starts: the haze that explains the sky best by single scattering."""
+
+import itertools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..numerics import as_float
+from ..transport import Geometry, SingleScattering
+from .forward import observe, Problem
+from .model import SkyModel
+from .parameters import PARAMETERS, values_of, with_values
+
+
+# hazes that are tried: optical depths from clean to thick, coarse and fine particles, phase functions by
+# the names of their parameters: of broad lobes, and of a narrow one over a broad one
+_DEPTHS = (0.03, 0.08, 0.2, 0.5, 1.2)
+_KINDS = {"angstrom_exponent": (0.4, 1.4), "fine_fraction": (0.35, 0.85)}
+_LOBES = ({}, {"asymmetry": 0.85, "asymmetry_second": 0.45, "forward_fraction": 0.4},
+          {"asymmetry": 0.93, "asymmetry_second": 0.55, "forward_fraction": 0.25})  # fmt: skip
+# what all orders of scattering make of the light of the first one, at each wavelength
+_BRIGHTENING = (1.0, 1.8)
+
+
+def first_guess(geometry: Geometry, model: SkyModel, free: tuple[str, ...], problem: Problem) -> np.ndarray:
+    """Values of the free parameters at each time, `[time, parameter]`: the start's, with the best of some hazes.
+
+    The level of each wavelength may be brighter than single scattering by what higher orders add; the aureole and the
+    gradient toward the horizon tell the haze.
+    """
+    first = values_of(model, free)
+    values = np.tile(list(first.values()), (problem.sun_zenith.shape[0], 1))
+    depth = next((n for n in ("aerosol_optical_depth", "turbidity") if n in free), None)
+    if depth is None:
+        return values
+    kinds = [{n: v} for n, values in _KINDS.items() if n in free for v in values] or [{}]
+    lobes = _LOBES if set(_LOBES[-1]) <= set(free) else ({},)
+    depths = [{depth: float(PARAMETERS[depth].from_leaf(v))} for v in _DEPTHS]
+    rows = np.array([list((first | a | b | c).values()) for a, b, c in itertools.product(depths, kinds, lobes)])
+    costs = np.asarray(_costs(SingleScattering.draft(geometry), model, free, as_float(rows), problem), float)
+    best = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
+    some = np.asarray(np.any(np.isfinite(costs), axis=0))
+    return np.where(some[:, None], rows[best], values)
+
+
+@eqx.filter_jit
+def _costs(solver, model, free, rows, problem: Problem):
+    """What each row of values leaves over at each time, the level of each channel being free within bounds."""
+
+    def cost(row, one):
+        light, _ = observe(solver, with_values(model, free, row), one)
+        weighted = one.weight**2 * light
+        norm = jnp.sum(weighted * light, axis=0)
+        level = jnp.sum(weighted * one.measured, axis=0) / jnp.where(norm > 0.0, norm, 1.0)
+        level = jnp.clip(level, *as_float(_BRIGHTENING))
+        return jnp.sum((one.weight * (level[None] * light - one.measured)) ** 2)
+
+    return jax.lax.map(lambda row: jax.lax.map(lambda one: cost(row, one), problem), rows)

@@ -1,0 +1,181 @@
+"""What a fit of a sky ends with."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..measured import Measurement, Response, Sky, time_names
+from ..transport import AbstractSolver
+from .model import SkyModel
+from .parameters import fixed_values, PARAMETERS, with_values
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """The fitted skies alone, all that a prediction needs: one model per time, solver and line shape.
+
+    `time` `[time]`, UTC, NaT where unknown; `models`, one a time; `fwhm_nm` NaN for no line shape; `calibration`
+    `[time, wavelength]`, the instrument's scale at `fitted_nm`.
+    """
+
+    time: np.ndarray
+    models: tuple[SkyModel, ...]
+    solver: AbstractSolver
+    fwhm_nm: float
+    fitted_nm: np.ndarray
+    calibration: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Parameters of a sky with their uncertainty, and the sky that they give; host-side arrays.
+
+    - `values`, `sigma`, `at_bound`, `determined` are `[time, parameter]` in the order of `free`, units as in
+      `PARAMETERS`; `covariance` `[time, parameter, parameter]`. Those of `shared` are the same at all times
+    - `sigma` holds noise, `scale` `[time]` times what was stated where the residuals are larger, priors, and
+      `model_sigma`, the part of the model's stated error; `reduced_chi_square` `[time]` is of all samples and
+      the stated noise
+    - `model` is what the instrument would read of the fitted sky on the input's times, directions and wavelengths;
+      `rmse` `[time]` is over usable samples, W m^-2 sr^-1 nm^-1
+    - `weight` `[time, direction, fitted wavelength]`: 1, less for samples that the loss trusts less, NaN where not used
+    - `gain` `[time, parameter, direction, fitted wavelength]`: change of a parameter by that of a sample of its time
+    - `calibration`, `calibration_sigma` `[time, fitted wavelength]`: the instrument's scale, 1 where it is not fitted
+    - `degrees_of_freedom` `[time]`: how many parameters the data, not the priors, determine
+    - `result` says how each solve ended; `undetermined` `[time]` names in words what the data leave open
+    """
+
+    sky: Sky
+    solver: AbstractSolver
+    free: tuple[str, ...]
+    values: np.ndarray
+    sigma: np.ndarray
+    covariance: np.ndarray
+    model_sigma: np.ndarray
+    at_bound: np.ndarray
+    determined: np.ndarray
+    model: np.ndarray
+    used: np.ndarray
+    rmse: np.ndarray
+    reduced_chi_square: np.ndarray
+    scale: np.ndarray
+    degrees_of_freedom: np.ndarray
+    weight: np.ndarray
+    gain: np.ndarray
+    calibration: np.ndarray
+    calibration_sigma: np.ndarray
+    fitted_nm: np.ndarray
+    steps: np.ndarray
+    cost: np.ndarray
+    result: tuple[str, ...]
+    undetermined: tuple[tuple[str, ...], ...]
+    start: SkyModel
+    fwhm_nm: float
+    measurement: Measurement
+    shared: tuple[str, ...] = ()
+    priors: dict[str, tuple[float, float]] = field(default_factory=dict)
+    smooth: dict[str, float] = field(default_factory=dict)
+    response: Response | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def model_error(self) -> float:
+        """The relative size of the model's stated errors that `sigma` allows for."""
+        given = self.measurement.model_error
+        return self.solver.model_error if given is None else given
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """The values that were not fitted, by name, in their stated units."""
+        return fixed_values(self.start, self.free)
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Model minus measurement, W m^-2 sr^-1 nm^-1, `[time, direction, wavelength]`."""
+        return self.model - self.sky.radiance
+
+    @property
+    def fitted(self) -> Fitted:
+        """The fitted skies, for `predict`."""
+        models = tuple(with_values(self.start, self.free, row) for row in self.values)
+        return Fitted(self.sky.time, models, self.solver, self.fwhm_nm, self.fitted_nm, self.calibration)
+
+    @property
+    def rejected(self) -> np.ndarray:
+        """Directions that the loss trusts less than half on the mean over wavelengths, `[time, direction]`."""
+        held = np.isfinite(self.weight)
+        mean = np.sum(np.where(held, self.weight, 0.0), axis=2) / np.maximum(held.sum(axis=2), 1)
+        return held.any(axis=2) & (mean < 0.5)
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """The correlation matrix of each time, `[time, parameter, parameter]`."""
+        scale = np.sqrt(np.einsum("tpp->tp", self.covariance))
+        safe = np.where((scale > 0.0) & np.isfinite(scale), scale, np.nan)
+        return self.covariance / (safe[:, :, None] * safe[:, None, :])
+
+    @property
+    def total_rmse(self) -> float:
+        """The root mean square over the usable samples of all times, W m^-2 sr^-1 nm^-1."""
+        error = self.residual[self.used]
+        return float(np.sqrt(np.mean(error**2))) if error.size else float("nan")
+
+    def __str__(self) -> str:
+        lines = []
+        for t, name in enumerate(time_names(self.sky)):
+            lines.append(
+                f"{name}  sun zenith {np.degrees(self.sky.sun_zenith[t]):.1f} deg  {self.result[t]} in "
+                f"{self.steps[t]} steps  rmse {1e3 * self.rmse[t]:.2f} mW m-2 sr-1 nm-1  "
+                f"reduced chi-square {self.reduced_chi_square[t]:.2f}"
+            )
+            for p, parameter in enumerate(self.free):
+                flags = "  at bound" if self.at_bound[t, p] else ""
+                flags += "" if self.determined[t, p] else "  not determined"
+                lines.append(
+                    f"  {parameter:32s}{self.values[t, p]:12.5g} +- {self.sigma[t, p]:<10.3g}"
+                    f"{PARAMETERS[parameter].unit}{flags}"
+                )
+            lines.extend(f"  {sentence}" for sentence in self.undetermined[t])
+        lines.extend(f"note: {note}" for note in self.notes)
+        return "\n".join(lines)
+
+
+# a parameter counts as determined if its sigma is below this share of its allowed range, or e-fold
+_DETERMINED_SHARE = 0.25
+# of a prior's sigma: what is not narrower than this was known before
+_FROM_PRIOR = 0.7
+# of a unit vector: the parameters that make up a combination
+_PART = 0.35
+
+
+def is_determined(free: tuple[str, ...], values: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Whether the data determine each parameter: its sigma is well below its allowed range, or e-fold."""
+    limit = np.array([_DETERMINED_SHARE * PARAMETERS[n].spread(v) for n, v in zip(free, values, strict=True)])
+    return np.isfinite(sigma) & (sigma < limit)
+
+
+def in_words(free: tuple[str, ...], found: dict, triangle: np.ndarray, priors: dict) -> tuple[str, ...]:
+    """Sentences on what the data leave open.
+
+    **Arguments:** `found`, with sigma, at_bound and determined, `[parameter]`; `triangle`, rows whose normal matrix is
+    the inverse covariance of the parameters in units of their `spread`: its small singular values are the weak
+    directions.
+    """
+    sigma, at_bound, determined = found["sigma"], found["at_bound"], found["determined"]
+    sentences = [
+        f"{name} is not determined by these data" for name, yes in zip(free, determined, strict=True) if not yes
+    ]
+    sentences += [
+        f"{name} stands at its bound: the data would take it further, its sigma is only local"
+        for name, yes in zip(free, at_bound, strict=True)
+        if yes
+    ]
+    for i, name in enumerate(free):
+        if name in priors and determined[i] and sigma[i] > _FROM_PRIOR * priors[name][1]:
+            sentences.append(f"{name} is known from its prior more than from these data")
+    if np.all(np.isfinite(triangle)):
+        _, singular, rows = np.linalg.svd(triangle)
+        for value, row in zip(singular, rows, strict=False):
+            mixed = [free[i] for i in np.flatnonzero(np.abs(row) > _PART)]
+            if value < 1.0 / _DETERMINED_SHARE and len(mixed) > 1:
+                sentences.append(f"only a combination is determined of {', '.join(mixed)}")
+    return tuple(sentences)

@@ -1,0 +1,163 @@
+"""A measured sky as arrays that a fit takes, and what a model says of each sample."""
+
+import equinox as eqx
+import numpy as np
+
+from ..light import earth_sun_factor, extraterrestrial_irradiance
+from ..light.solar import SPECTRUM_NM
+from ..measured import Measurement, Response, Sky
+from ..measured.quality.line_shape import estimate_fwhm
+from ..measured.samples import day_of_year
+from ..numerics import as_float
+from ..transport import AbstractSolver
+from .forward import observe, Problem
+from .model import SkyModel
+
+
+# nm; absorption by oxygen and water that the model leaves out (Bird & Riordan 1986, table 1)
+GAS_BANDS_NM = ((684.0, 700.0), (714.0, 742.0), (756.0, 774.0), (785.0, 850.0), (890.0, 1000.0))
+_MOST_WAVELENGTHS = 40
+# how many lengths the list of directions can have
+_SIZES = 4
+# of a direct beam whose sigma is not given
+_DIRECT_NOISE = 0.02
+
+
+class Sampling:
+    """Which samples of a sky are fitted, and the scenes of any of its wavelengths, on the host."""
+
+    def __init__(self, sky: Sky, fwhm_nm: float | None, response: Response | None = None, field_of_view: float = 0.0):
+        self.sky, self.response, self.field_of_view = sky, response, field_of_view
+        self.notes = list(sky.notes)
+        if response is not None and response.weight.shape[0] != len(sky.wavelength_nm):
+            raise ValueError(
+                f"`response` must have a channel for each of the sky's {len(sky.wavelength_nm)} wavelengths, "
+                f"got {response.weight.shape[0]}"
+            )
+        self.fwhm_nm = _line_shape(sky, response, self.notes) if fwhm_nm is None else float(fwhm_nm)
+        spectrum = sky.wavelength_nm if response is None else response.wavelength_nm
+        inside = (spectrum >= SPECTRUM_NM[0]) & (spectrum <= SPECTRUM_NM[1])
+        self.inside = np.flatnonzero(inside)
+        width = self.fwhm_nm if np.isfinite(self.fwhm_nm) and self.fwhm_nm > 0.0 else None
+        self.spectrum = spectrum
+        self.irradiance = np.full(spectrum.shape, np.nan)
+        self.irradiance[inside] = np.asarray(extraterrestrial_irradiance(spectrum[inside], width))
+        self.used = self._usable()
+
+    def _usable(self) -> np.ndarray:
+        """The sky's mask without what the model cannot explain, counted in the notes."""
+        sky = self.sky
+        if self.response is not None:
+            return sky.usable
+        wavelength = sky.wavelength_nm
+        outside = (wavelength < SPECTRUM_NM[0]) | (wavelength > SPECTRUM_NM[1])
+        bands = np.zeros_like(outside)
+        for low, high in GAS_BANDS_NM:
+            bands |= (wavelength >= low) & (wavelength <= high)
+        for where, reason in ((outside, "beyond 300-1100 nm"), (bands & ~outside, "in gas bands")):
+            count = int(sky.usable[..., where].sum())
+            if count:
+                self.notes.append(f"{count} samples {reason} left out")
+        return sky.usable & ~(outside | bands)
+
+    def chosen(self) -> np.ndarray:
+        """Indices of the sky's wavelengths that are fitted: all that hold samples, or an even choice of many."""
+        candidates = np.flatnonzero(self.used.any(axis=(0, 1)))
+        if candidates.size <= _MOST_WAVELENGTHS:
+            return candidates
+        return candidates[np.linspace(0, candidates.size - 1, _MOST_WAVELENGTHS).round().astype(int)]
+
+    def problem(self, chosen: np.ndarray, measurement: Measurement) -> tuple[Problem, np.ndarray]:
+        """The samples at the chosen wavelengths, and the directions that each time has any of, `[time, direction]`.
+
+        Directions that a time does not use are left out of it, a quarter of all or none, so that skies with other masks
+        are rarely another shape to compile for; the lists are filled up with their first.
+        """
+        sky, used = self.sky, self.used
+        sigma = measurement.sigma(sky, used)
+        held = np.asarray(np.any(used[:, :, chosen], axis=2))
+        quarter = -(-held.shape[1] // _SIZES)
+        most = min(held.shape[1], quarter * max(1, -(-int(held.sum(axis=1).max()) // quarter)))
+        places = np.stack([np.resize(np.flatnonzero(h) if h.any() else [0], most) for h in held])
+        first = np.arange(most)[None] < held.sum(axis=1)[:, None]
+        rows = np.arange(len(sky.time))[:, None]
+        mask = used[rows, places][..., chosen] & first[..., None]
+        measured = np.where(mask, sky.radiance[rows, places][..., chosen], 0.0)
+        weight = np.where(mask, 1.0 / sigma[rows, places][..., chosen], 0.0)
+        direct = self._direct(chosen)
+        arrays = self._arrays(slice(None), chosen if self.response is None else self.inside)
+        problem = Problem(
+            **arrays,
+            view_zenith=as_float(sky.view_zenith[places]),
+            view_azimuth=as_float(sky.view_azimuth[places]),
+            measured=as_float(measured),
+            weight=as_float(weight),
+            direct=None if direct is None else as_float(direct[0]),
+            direct_weight=None if direct is None else as_float(direct[1]),
+            field_of_view=self.field_of_view,
+        )
+        return problem, places
+
+    def _direct(self, chosen):
+        """The direct beam at the chosen wavelengths and one over its sigma, None where there is none."""
+        sky = self.sky
+        if sky.direct_irradiance is None or self.response is not None:
+            return None
+        values = sky.direct_irradiance[:, chosen]
+        sigma = _DIRECT_NOISE * np.abs(values) if sky.direct_sigma is None else sky.direct_sigma[:, chosen]
+        good = np.isfinite(values) & (values > 0.0) & np.isfinite(sigma) & (sigma > 0.0)
+        if not good.any():
+            return None
+        return np.where(good, values, 0.0), np.where(good, 1.0 / np.where(good, sigma, 1.0), 0.0)
+
+    def _arrays(self, times, wavelengths) -> dict:
+        sky = self.sky
+        count = len(sky.time[times])
+        stamps = sky.time[times]
+        factor = np.array([1.0 if np.isnat(t) else earth_sun_factor(day_of_year(t)) for t in stamps])
+        weight = None if self.response is None else self.response.weight[:, wavelengths]
+        return {
+            "sun_zenith": as_float(sky.sun_zenith[times]),
+            "sun_azimuth": as_float(sky.sun_azimuth[times]),
+            "irradiance": as_float(factor[:, None] * self.irradiance[wavelengths][None]),
+            "wavelength_nm": as_float(np.broadcast_to(self.spectrum[wavelengths], (count, len(wavelengths)))),
+            "response": None if weight is None else as_float(np.broadcast_to(weight, (count, *weight.shape))),
+        }
+
+    def readings(self, solver: AbstractSolver, model: SkyModel, time: int) -> np.ndarray:
+        """The model in every direction, at each wavelength or channel, `[direction, wavelength]`; NaN beyond it."""
+        sky = self.sky
+        nothing = np.zeros((1, *sky.radiance.shape[1:]))
+        problem = Problem(
+            **self._arrays(slice(time, time + 1), self.inside),
+            view_zenith=as_float(sky.view_zenith[None]),
+            view_azimuth=as_float(sky.view_azimuth[None]),
+            measured=as_float(nothing),
+            weight=as_float(nothing),
+            field_of_view=self.field_of_view,
+        )
+        result = np.full(sky.radiance.shape[1:], np.nan)
+        read = np.asarray(_read(solver, model, problem.at(0)))
+        if self.response is None:
+            result[:, self.inside] = read
+        else:
+            result[:] = read
+        return result
+
+
+@eqx.filter_jit
+def _read(solver, model, one: Problem):
+    return observe(solver, model, one)[0]
+
+
+def _line_shape(sky: Sky, response: Response | None, notes: list) -> float:
+    if response is not None:
+        return float("nan")
+    if np.isfinite(sky.fwhm_nm):
+        return sky.fwhm_nm
+    width = estimate_fwhm(sky)
+    if np.isfinite(width):
+        notes.append(f"line shape estimated from the solar lines: {width:g} nm FWHM")
+    else:
+        notes.append("no line shape in the file and too few wavelengths to estimate it: none applied")
+    return width

@@ -1,0 +1,175 @@
+"""The atmosphere cut into layers for one sun, and how finely streams solve them."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...atmosphere import AbstractConstituent, Atmosphere
+from ...scene import Scene
+from ..columns import slant_column, sunlit, TOP_OF_AIR
+from ..contract import Geometry
+from ..optics import optics, scatterer_indices
+
+
+_HEIGHT_TABLE = 512
+
+
+class Resolution(NamedTuple):
+    """How finely streams solve, all static: `streams` a hemisphere, Fourier `modes`, layers, sweeps.
+
+    `complete`: delta-M, and all orders that the sweeps do not reach are closed by diffusion; without it the
+    phase functions are cut after their moments and the light is that of `orders` orders, no more. `polarised`: the
+    vector radiance, by its difference from the scalar one.
+    """
+
+    streams: int
+    modes: int
+    levels: int
+    orders: int
+    geometry: Geometry
+    complete: bool = True
+    polarised: bool = False
+
+    def few(self, stokes: bool) -> "Few":
+        """How finely polarisation is solved: what it adds to the radiance is smooth, and some per cent of the light.
+
+        Haze gives Q and U (`stokes`) more moments and modes than it gives their share of the radiance.
+        """
+        streams = (3 * self.streams + 3) // 4
+        moments, modes = (2 * streams, 2 * streams) if stokes else (streams + 2, max(3, streams // 2))
+        return Few(streams, moments, min(self.modes, modes), (2 * self.orders + 2) // 3)
+
+    def check(self, nodes: int, spectral_nodes: int) -> None:
+        """A `ValueError` for a count that is too small or modes that the streams cannot carry."""
+        least = {"streams": 1, "modes": 1, "levels": 2, "orders": 1}
+        counts = {name: (getattr(self, name), bound) for name, bound in least.items()}
+        counts |= {"nodes": (nodes, 1), "spectral_nodes": (spectral_nodes, 0)}
+        for name, (count, bound) in counts.items():
+            if count < bound:
+                raise ValueError(f"`{name}` must be at least {bound}, got {count}")
+        if self.modes > 2 * self.streams:
+            raise ValueError(f"`modes` must be at most 2 x `streams`, got {self.modes} for {self.streams}")
+
+    def for_phases(self, constituents: tuple[AbstractConstituent, ...]) -> tuple[int, int]:
+        """Moments and modes that these phase functions need: four and three for air alone."""
+        phases = [c.phase for c in constituents if c.phase is not None]
+        degrees = [phase.last_degree for phase in phases if phase.last_degree is not None]
+        if len(degrees) < len(phases):
+            return 2 * self.streams, self.modes
+        last = max(degrees)
+        return min(2 * self.streams, 2 * (last // 2 + 1)), min(self.modes, last + 1)
+
+
+class Few(NamedTuple):
+    """Streams a hemisphere, moments of the scattering matrix, Fourier modes and sweeps."""
+
+    streams: int
+    moments: int
+    modes: int
+    orders: int
+
+
+class Scaled(NamedTuple):
+    """Optics as the streams see them; moments of scatterers with the factor 2 l + 1.
+
+    `matrix`: alpha, gamma, zeta, None where polarisation is left out.
+    """
+
+    extinction: Float[Array, "constituent wavelength"]
+    scattering: Float[Array, "scatterer wavelength"]
+    moments: Float[Array, "moment scatterer wavelength"]
+    matrix: Float[Array, "element moment scatterer wavelength"] | None
+
+
+class Layers(NamedTuple):
+    """The layered problem of one sky, top to ground, per unit solar irradiance."""
+
+    height: Float[Array, " level"]
+    depth: Float[Array, "layer wavelength"]
+    beam: Float[Array, "level wavelength"]
+    beam_depth: Float[Array, "layer wavelength"]
+    moments: Float[Array, "moment layer wavelength"]
+    sun_cosine: Float[Array, ""]
+    sun_sine: Float[Array, ""]
+    ground_albedo: Float[Array, " wavelength"]
+    matrix: Float[Array, "element moment layer wavelength"] | None
+
+
+def scaled_optics(
+    constituents: tuple[AbstractConstituent, ...],
+    wavelength_nm: Float[Array, " wavelength"],
+    resolution: Resolution,
+) -> Scaled:
+    """Optical depths and the first moments of what scatters.
+
+    With `resolution.complete`, delta-M: the forward peak beyond the last moment counts as unscattered (Wiscombe 1977).
+    """
+    depth, (count, _) = optics(constituents, wavelength_nm), resolution.for_phases(constituents)
+    extinction, scattering, moments, matrices = [], [], [], []
+    degree = jnp.asarray(2.0 * np.arange(count) + 1.0, wavelength_nm.dtype)
+
+    # the forward peak keeps the polarisation
+    kept = jnp.asarray([1.0, 0.0, 1.0], wavelength_nm.dtype)[:, None, None]
+    for i, c in enumerate(constituents):
+        if c.phase is None:
+            extinction.append(depth.extinction[i])
+            continue
+        every = c.phase.moments(count + 1, wavelength_nm) + jnp.zeros_like(wavelength_nm)[None]
+        peak = every[count] if resolution.complete else jnp.zeros_like(wavelength_nm)
+        extinction.append(depth.extinction[i] - peak * depth.scattering[i])
+        scattering.append((1.0 - peak) * depth.scattering[i])
+        moments.append((every[:count] - peak[None]) / (1.0 - peak[None]))
+        if resolution.polarised:
+            matrix = c.phase.matrix_moments(count, wavelength_nm) - kept * peak[None, None]
+            matrices.append(matrix / (1.0 - peak[None, None]))
+    weighted = jnp.stack(moments, axis=1) * degree[:, None, None]
+    matrix = jnp.stack(matrices, axis=2) * degree[None, :, None, None] if resolution.polarised else None
+    return Scaled(jnp.stack(extinction), jnp.stack(scattering), weighted, matrix)
+
+
+def level_heights(constituents: tuple[AbstractConstituent, ...], levels: int) -> Float[Array, " level"]:
+    """Heights (m) of the levels, top to ground, equal steps of the scatterers' mean column share."""
+    scatterers = [c.profile for c in constituents if c.phase is not None]
+    table = TOP_OF_AIR * (np.arange(_HEIGHT_TABLE + 1) / _HEIGHT_TABLE) ** 3
+    height = jnp.asarray(table, jnp.result_type(float))
+    share = jnp.mean(jnp.stack([p.above(height) for p in scatterers]), axis=0)
+    share = (share - share[-1]) / (share[0] - share[-1])
+    target = jnp.arange(levels + 1) / levels
+    return jnp.interp(target.astype(height.dtype), share[::-1], height[::-1])
+
+
+def layered(
+    atmosphere: Atmosphere,
+    scene: Scene,
+    wavelength_nm: Float[Array, " wavelength"],
+    resolution: Resolution,
+) -> Layers:
+    """The atmosphere cut into layers for one sun."""
+    constituents, geometry = atmosphere.constituents, resolution.geometry
+    scaled = scaled_optics(constituents, wavelength_nm, resolution)
+    height = level_heights(constituents, resolution.levels)
+    # what little lies above the top level belongs to the first layer
+    above = jnp.stack([c.profile.above(height) for c in constituents]).at[:, 0].set(0.0)
+    share = jnp.diff(above, axis=1)
+    depth = share.T @ scaled.extinction
+    scattered = jnp.stack([share[i] for i in scatterer_indices(constituents)])[:, :, None] * scaled.scattering[:, None]
+    fraction = scattered / jnp.where(depth > 0.0, depth, 1.0)[None]
+    sun_cosine = jnp.cos(scene.sun_zenith)
+    cosine = sun_cosine + jnp.zeros_like(height)
+    slant = jnp.stack([slant_column(c.profile, height, cosine, geometry) for c in constituents])
+    slant = slant.at[:, 0].set(jnp.where(sun_cosine >= 0.0, 0.0, slant[:, 0]))
+    sun_depth = slant.T @ scaled.extinction
+    lit = sunlit(height, cosine, geometry)
+    return Layers(
+        height,
+        depth,
+        jnp.where(lit[:, None], jnp.exp(-sun_depth), 0.0),
+        jnp.maximum(jnp.diff(sun_depth, axis=0), 0.0),
+        jnp.einsum("skw,lsw->lkw", fraction, scaled.moments),
+        sun_cosine,
+        jnp.sin(scene.sun_zenith),
+        atmosphere.ground.reflectance(wavelength_nm),
+        None if scaled.matrix is None else jnp.einsum("skw,elsw->elkw", fraction, scaled.matrix),
+    )

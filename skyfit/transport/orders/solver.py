@@ -1,0 +1,205 @@
+"""Multiple scattering by successive orders with discrete ordinates."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...atmosphere import Atmosphere
+from ...numerics import chebyshev_nodes, chebyshev_weights
+from ...scene import Scene
+from ..contract import (
+    AbstractSolver,
+    check_geometry,
+    check_on_ground,
+    Fluxes,
+    Geometry,
+    POLARISED_ERROR,
+    SCALAR_ERROR,
+    Stokes,
+)
+from ..optics import optics, scatterer_indices, sun_depth, transmitted_sun
+from ..single import single_scattering
+from .layering import Resolution, scaled_optics
+from .reconstruct import multiple_scattering
+from .streams import diffuse_field
+
+
+# sr^-1, per unit irradiance; what is darker counts as black
+_DARK = 1e-30
+
+
+class OrdersOfScattering(AbstractSolver):
+    r"""All orders of scattering and a Lambertian ground, with exact single scattering.
+
+    Fourier modes in azimuth, Gauss streams in zenith angle, delta-M truncation of the phase function; the
+    multiple-scattering source is turned into the exact view directions by its Legendre moments, and single
+    scattering uses the whole phase function (Nakajima & Tanaka's TMS). What the sweeps leave over is closed by
+    diffusion after each of them, so that no light is lost however thick the haze and few the sweeps.
+
+    `streams` per hemisphere; `modes` in azimuth; `levels` of the vertical grid, dense in haze; `orders`,
+    sweeps through it; `nodes` of the single-scattering integral; `spectral_nodes`, wavelengths at which
+    multiple scattering is solved (0, or an atmosphere that is not smooth in wavelength: all of the scene's);
+    `geometry` "spherical": curved paths for beam and view, and diffuse streams that change their local angle
+    from layer to layer, under a sun whose local zenith angle is the observer's for them; or "flat". `polarised`: with
+    linear polarisation, in the radiance and for `stokes`: 1.2 times the scalar solver's time, its Jacobian 1.4 times.
+
+    **Valid:** flat: sun and view zenith to 85 degrees; asymmetry parameters to 0.82, beyond which the aureole in
+    haze of optical depth 1 is some per cent off (`fine`: to 0.88 within 0.3 %, 1.5 % with a low sun). Optical depth
+    50 is 2 % off (`normal`), more where little light is left. Spherical: sun and view zenith to 80 within 1 %
+    beyond the noise of the Monte Carlo, at 85 within 5 %; lower suns only finite.
+    All this is of scalar light. What polarisation does is missing from it: up to 8 % of a clear sky at 383 nm and 1.4 %
+    at 710 nm, of either sign, 19 % in air of optical depth 1 under a low sun. `polarised`, flat: I, and Q and U over I,
+    within 0.5 % (`fine` 0.02 %) of Natraj et al. 2009 for air of optical depths to 1, sun and view cosines from 0.1,
+    and within 0.4 % of sasktran2 with haze. Spherical: what polarisation does to I within 0.2 % of sasktran2's, Q and U
+    within 1.2 % of I, at 75 degrees. V is neglected (`Stokes`).
+    **Source:** Nakajima & Tanaka 1988, JQSRT 40, 51; Wiscombe 1977, J. Atmos. Sci. 34, 1408;
+    Lenoble et al. 2007, JQSRT 107, 479 (successive orders).
+    """
+
+    streams: int = eqx.field(static=True, default=8)
+    modes: int = eqx.field(static=True, default=16)
+    levels: int = eqx.field(static=True, default=24)
+    orders: int = eqx.field(static=True, default=6)
+    nodes: int = eqx.field(static=True, default=24)
+    spectral_nodes: int = eqx.field(static=True, default=8)
+    geometry: Geometry = eqx.field(static=True, default="spherical")
+    polarised: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        check_geometry(self.geometry)
+        self._resolution().check(self.nodes, self.spectral_nodes)
+
+    @classmethod
+    def scout(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
+        """Some per cent: for the first steps of a fit and its slopes."""
+        return cls(
+            streams=4, modes=8, levels=8, orders=2, nodes=8, spectral_nodes=4, geometry=geometry, polarised=polarised
+        )
+
+    @classmethod
+    def draft(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
+        """Flat: 0.05 % in the median, to 2 % at 85 degrees."""
+        return cls(
+            streams=6, modes=12, levels=16, orders=4, nodes=16, spectral_nodes=6, geometry=geometry, polarised=polarised
+        )
+
+    @classmethod
+    def normal(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
+        """Flat: 0.01 % in the median, to 0.5 % at 85 degrees; spherical 0.3 %."""
+        return cls(geometry=geometry, polarised=polarised)
+
+    @classmethod
+    def fine(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
+        """The reference of the house: flat within 0.1 %."""
+        return cls(
+            streams=16,
+            modes=32,
+            levels=100,
+            orders=12,
+            nodes=64,
+            spectral_nodes=0,
+            geometry=geometry,
+            polarised=polarised,
+        )
+
+    @property
+    def model_error(self) -> float:
+        return POLARISED_ERROR if self.polarised else SCALAR_ERROR
+
+    def coarser(self) -> tuple["OrdersOfScattering", "OrdersOfScattering"]:
+        kind = self.geometry, self.polarised
+        return OrdersOfScattering.scout(*kind), OrdersOfScattering.draft(*kind)
+
+    @eqx.filter_jit
+    def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
+        """Sky radiance by all orders of scattering, W m^-2 sr^-1 nm^-1."""
+        check_on_ground(scene, "OrdersOfScattering")
+        return streamed_light(atmosphere, scene, self._resolution(), self.nodes, self.spectral_nodes)[0]
+
+    @eqx.filter_jit
+    def stokes(self, atmosphere: Atmosphere, scene: Scene) -> Stokes:
+        """Radiance and linear polarisation, W m^-2 sr^-1 nm^-1, of a solver with `polarised`.
+
+        Q and U take more modes than `radiance` does, whose last digits (1e-4) may differ from those here.
+        """
+        check_on_ground(scene, "OrdersOfScattering")
+        if not self.polarised:
+            raise ValueError(
+                "`polarised` must be True for `stokes`, got False: OrdersOfScattering.normal(polarised=True)"
+            )
+        return Stokes(*streamed_light(atmosphere, scene, self._resolution(), self.nodes, self.spectral_nodes, True))
+
+    @eqx.filter_jit
+    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
+        """Irradiance on the ground: the direct beam, the diffuse sky, the ground's reflection.
+
+        The delta-M beam contains the forward peak; it is counted as direct light only as far as the true
+        transmittance goes, the rest as diffuse.
+        """
+        check_on_ground(scene, "OrdersOfScattering")
+        constituents = atmosphere.constituents
+        extinction = optics(constituents, scene.wavelength_nm).extinction
+        sun = jnp.maximum(jnp.cos(scene.sun_zenith), 0.0)
+        direct = sun * transmitted_sun(constituents, scene, extinction, self.geometry)
+        reflectance = atmosphere.ground.reflectance(scene.wavelength_nm)
+        diffuse, top = jnp.zeros_like(direct), None
+        if scatterer_indices(constituents):
+            layers, field = diffuse_field(atmosphere, scene, scene.wavelength_nm, self._resolution())
+            # where little comes through thick layers, their slopes may undershoot
+            diffuse = jnp.maximum(field.ground_flux + sun * layers.beam[-1] - direct, 0.0)
+            top = field.top_flux * scene.solar_irradiance
+        up = reflectance * (direct + diffuse)
+        irradiance = scene.solar_irradiance
+        return Fluxes(direct * irradiance, diffuse * irradiance, up * irradiance, top)
+
+    def _resolution(self) -> Resolution:
+        return Resolution(self.streams, self.modes, self.levels, self.orders, self.geometry, polarised=self.polarised)
+
+
+def streamed_light(
+    atmosphere: Atmosphere, scene: Scene, resolution: Resolution, nodes: int, spectral_nodes: int, stokes: bool = False
+) -> Float[Array, "stokes direction wavelength"]:
+    """Exact single scattering and what streams make of the higher orders, W m^-2 sr^-1 nm^-1.
+
+    **Arguments:** `nodes` of the single-scattering integral; `spectral_nodes`, wavelengths at which the streams
+    solve, 0 for all of the scene's. **Returns:** the radiance alone, or with `stokes` I, Q and U.
+    """
+    constituents = atmosphere.constituents
+    wavelength = scene.wavelength_nm
+    if not scatterer_indices(constituents):
+        return jnp.zeros((3 if stokes else 1, scene.view.zenith.shape[0], wavelength.shape[0]))
+    extinction = scaled_optics(constituents, wavelength, resolution).extinction
+    single = single_scattering(constituents, scene, extinction, nodes, resolution.geometry, stokes)
+    if 0 < spectral_nodes < wavelength.shape[0] and atmosphere.smooth_in_wavelength:
+        multiple = _interpolated_multiple(atmosphere, scene, resolution, spectral_nodes, stokes)
+    else:
+        multiple = multiple_scattering(atmosphere, scene, wavelength, resolution, stokes)
+    return (single + multiple) * scene.solar_irradiance[None, None]
+
+
+def _interpolated_multiple(atmosphere: Atmosphere, scene: Scene, resolution: Resolution, few: int, stokes: bool):
+    """Multiple scattering solved at a few wavelengths: its log is smooth, absorption on the sun's path apart.
+
+    So are Q and U over I.
+    """
+    wavelength = scene.wavelength_nm
+    low, high = jnp.log(jnp.min(wavelength)), jnp.log(jnp.max(wavelength))
+    unit = jnp.asarray(chebyshev_nodes(few), wavelength.dtype)
+    nodes = jnp.exp(0.5 * (low + high) + 0.5 * (high - low) * unit)
+    place = (2.0 * jnp.log(wavelength) - low - high) / jnp.maximum(high - low, 1e-9)
+    absorbers = tuple(c for c in atmosphere.constituents if c.phase is None)
+
+    def absorption(wavelengths):
+        depth = optics(absorbers, wavelengths).extinction
+        return sun_depth(absorbers, scene, depth, resolution.geometry)
+
+    multiple, *polarised = multiple_scattering(atmosphere, scene, nodes, resolution, stokes)
+    dark = multiple < _DARK
+    smooth = jnp.log(jnp.where(dark, _DARK, multiple)) + absorption(nodes)[None]
+    weights = chebyshev_weights(place, few).T
+    exponent = smooth @ weights - absorption(wavelength)[None]
+    # no sky is brighter than e^5 per unit irradiance: what is interpolated between black nodes must not overflow
+    everywhere = jnp.exp(jnp.minimum(exponent, 5.0))
+    radiance = jnp.where(jnp.all(dark, axis=1)[:, None], 0.0, everywhere)
+    shares = [jnp.where(dark, 0.0, light / jnp.where(dark, 1.0, multiple)) @ weights for light in polarised]
+    return jnp.stack([radiance, *(radiance * share for share in shares)])

@@ -1,0 +1,17 @@
+"""The solvers by their short names: the one list that the command line, files and experiments go by."""
+
+from .contract import AbstractSolver
+from .double import DoubleScattering
+from .orders.solver import OrdersOfScattering
+from .shells import Shells
+from .single import SingleScattering
+from .uniform import Uniform
+
+
+SOLVERS: dict[str, type[AbstractSolver]] = {
+    "orders": OrdersOfScattering,
+    "double": DoubleScattering,
+    "single": SingleScattering,
+    "shells": Shells,
+    "uniform": Uniform,
+}
