@@ -1,13 +1,8 @@
 """Settings and fixtures of all tests; skyfit itself is imported only after pytest has hooked jaxtyping in."""
 
 import gc
-import os
 from collections.abc import Iterator
 from pathlib import Path
-
-
-# before LAPACK is loaded: its threads wait for one another by spinning, and beside a second process for minutes
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import hypothesis
 import jax

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ..numerics import triangle
 from ..scene import as_float, haversine
 from ..transport import AbstractSolver
 from .chain import Blocks, damped, marginal_rows, minimise, Point, solve_chain
@@ -204,7 +205,7 @@ def _described(setup: Setup, problem: Problem, priors: Priors, end: Point, known
     spreads = jax.vmap(lambda rows: covariance(rows, every)[0])(marginal)
     # the channels' scales first, so that what is left is of the parameters alone
     order = jnp.concatenate([marginal[..., count:], marginal[..., :count]], axis=2)
-    triangles = jnp.linalg.qr(order, mode="r")[:, scales:, scales:]
+    triangles = jax.vmap(triangle)(order)[:, scales:, scales:]
     shift_own, shift_shared = solve_chain(damped(blocks, size))
     parameters = len(setup.shared)
     shift = jnp.concatenate(

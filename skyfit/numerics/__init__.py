@@ -1,3 +1,9 @@
+from .factor import (
+    singular as singular,
+    solve_upper as solve_upper,
+    triangle as triangle,
+    tridiagonal_inverse as tridiagonal_inverse,
+)
 from .guarded import (
     exp_mean as exp_mean,
     phi1 as phi1,
