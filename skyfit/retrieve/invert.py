@@ -69,7 +69,7 @@ def invert(
     - `measurement`: noise, calibration, field of view, outliers (`Measurement`)
     - `priors`: name -> (value, sigma) in the parameter's unit; of a positive parameter sigma / value is that of its
       logarithm. `smooth`: name -> sigma of its change within an hour, on the same scale, for names that are not shared
-    - `draft`: solver of the slopes (default: for `OrdersOfScattering` its draft; else `solver` itself)
+    - `draft`: solver of the slopes (default: `solver` itself, which compiles once; a coarser one runs faster)
     - `max_steps` of each Levenberg-Marquardt search; `progress(done, of)` is called after each time that is fitted by
       itself
 

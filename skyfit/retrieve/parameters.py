@@ -54,7 +54,7 @@ class Parameter(NamedTuple):
 
     def on_scale(self, free):
         """As `bound`, on the scale of the parameter: the logarithm of a positive quantity, else the value itself."""
-        low, high = self._ends()
+        low, high = self.ends()
         return low + (high - low) * jax.nn.sigmoid(free)
 
     def from_scale(self, scaled):
@@ -67,21 +67,21 @@ class Parameter(NamedTuple):
 
     def unbound(self, value: float) -> float:
         """The inverse of `bound`, for a value inside the bounds (nudged inside by 1 % of the range)."""
-        low, high = self._ends()
+        low, high = self.ends()
         share = (self.to_scale(value) - low) / (high - low)
         share = np.clip(share, 0.01, 0.99)
         return float(np.log(share / (1.0 - share)))
 
     def place_of(self, model: SkyModel) -> Float[Array, ""]:
         """The unconstrained number of a model's value, which may be traced; `unbound` for traced values."""
-        low, high = self._ends()
+        low, high = self.ends()
         value = self.from_leaf(self.leaf(model))
         share = jnp.clip(((jnp.log(value) if self.log else value) - low) / (high - low), 0.01, 0.99)
         return jnp.log(share / (1.0 - share))
 
     def at_bound(self, value: float) -> bool:
         """Whether the value lies within a thousandth of the range from a bound."""
-        low, high = self._ends()
+        low, high = self.ends()
         share = (self.to_scale(value) - low) / (high - low)
         return bool(share < 1e-3 or share > 1.0 - 1e-3)
 
@@ -89,7 +89,8 @@ class Parameter(NamedTuple):
         """The allowed range in the parameter's unit; on a log scale one e-fold of the value."""
         return float(value) if self.log else self.upper - self.lower
 
-    def _ends(self):
+    def ends(self) -> tuple[float, float]:
+        """The bounds on the parameter's scale."""
         if self.log:
             return np.log(self.lower), np.log(self.upper)
         return self.lower, self.upper
