@@ -30,8 +30,8 @@ class Prepared:
 
     `own` and `shared` names stand in the order of `PARAMETERS`, so that the same names in another order are the same
     program; `slopes` is the solver of derivatives, None for the same one; `places` `[time, direction]` says which
-    directions `problem` holds; `rows` are the priors on the parameters' scales; `linked` says whether neighbours in time
-    are tied.
+    directions `problem` holds; `rows` are the priors on the parameters' scales; `linked` says whether neighbours in
+    time are tied.
     """
 
     sky: Sky
