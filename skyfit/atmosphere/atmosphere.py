@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from ..numerics import as_float
 from .aerosol import Aerosol
 from .constituent import AbstractConstituent
-from .ozone import Ozone
+from .gas import Ozone
 from .phase import REFERENCE_WAVELENGTH
 from .rayleigh import Rayleigh
 from .turbidity import Relation, turbidity_to_optical_depth
