@@ -198,7 +198,7 @@ def two_skies(path):
     )
     radiance = np.stack([
         solver.radiance(
-            replace(skyfit.Atmosphere.from_turbidity(turbidity), ozone=skyfit.Ozone(350.0)),
+            skyfit.Atmosphere.from_turbidity(turbidity).replace(ozone=skyfit.Ozone(350.0)),
             skyfit.Scene.from_degrees(zenith, view, wavelength, 180.0),
         )
         for zenith, turbidity in ((50.0, 3.0), (40.0, 3.3))

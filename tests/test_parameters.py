@@ -90,13 +90,8 @@ def test_names_that_cannot_be_free(free, parts):
 @pytest.mark.parametrize("place", ["aerosol", "ozone", "rayleigh"])
 def test_an_atmosphere_without_a_constituent_has_none_of_its_parameters(place):
     model = start_model((), 101325.0)
-    atmosphere = replace_leaf(model.atmosphere, place, None)
+    atmosphere = model.atmosphere.replace(**{place: None})
     name = {"aerosol": "aerosol_optical_depth", "ozone": "ozone", "rayleigh": "pressure"}[place]
     with pytest.raises(ValueError, match=f"{name}.*does not have"):
         check_free((name,), type(model)(atmosphere))
     assert name not in values_of(type(model)(atmosphere), PARAMETERS)
-
-
-def replace_leaf(atmosphere, name, value):
-    parts = {n: getattr(atmosphere, n) for n in ("rayleigh", "aerosol", "ozone", "ground")}
-    return skyfit.Atmosphere(**(parts | {name: value}))

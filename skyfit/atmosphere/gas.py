@@ -77,7 +77,12 @@ class Gas(AbstractGas):
         at `table_wavelength_nm`; `profile`. **Returns:** a `Gas` with `unit` "DU".
         """
         per_dobson = np.asarray(cross_section, np.float64) * MOLECULES_PER_DOBSON
-        return cls(column, as_float(table_wavelength_nm), as_float(per_dobson), profile)
+        return cls(
+            column=as_float(column),
+            table_wavelength_nm=as_float(table_wavelength_nm),
+            absorption_per_unit=as_float(per_dobson),
+            profile=profile,
+        )
 
     def absorption(self, wavelength_nm):
         return jnp.interp(wavelength_nm, self.table_wavelength_nm, self.absorption_per_unit)
