@@ -17,31 +17,12 @@ from ..transport import AbstractSolver, OrdersOfScattering
 from .estimate import Estimate, estimate
 from .guess import first_guess
 from .model import SkyModel
-from .parameters import check_free, PARAMETERS, partition, start_model, values_of, with_values
+from .parameters import check_free, DEFAULT_FREE, PARAMETERS, partition, start_model, values_of, with_values
 from .residuals import Priors, Setup
 from .result import Fit, Fitted, in_words, is_determined
 from .sampling import Sampling
 
 
-# what a sky scan determines, and the pointing that it needs
-DEFAULT_FREE = (
-    "aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo", "asymmetry",
-    "asymmetry_second", "forward_fraction", "forward_fraction_slope", "ground_albedo", "pointing_zenith",
-    "pointing_azimuth",
-)  # fmt: skip
-# the same with particles: haze of spheres in two modes of size
-PARTICLE_FREE = (
-    "aerosol_optical_depth", "fine_fraction", "fine_radius", "coarse_radius", "refractive_index", "absorption_index",
-    "ground_albedo", "ground_red_edge", "pointing_zenith", "pointing_azimuth",
-)  # fmt: skip
-# what stays the same over a day: the kind of particle and the air; the amount of haze, the pointing and, under a moving
-# sun, what the ground reflects do not
-SLOW = (
-    "single_scattering_albedo", "single_scattering_albedo_slope", "asymmetry", "asymmetry_second", "forward_fraction",
-    "forward_fraction_slope", "haze_polarisation", "fine_fraction", "fine_radius", "coarse_radius", "fine_width",
-    "coarse_width", "refractive_index", "absorption_index", "aerosol_scale_height", "ozone", "ground_albedo_slope",
-    "pressure",
-)  # fmt: skip
 # spread of the logistic numbers of random starts: most of each range, not its ends
 _START_SPREAD = 1.5
 

@@ -11,11 +11,7 @@ from ..numerics.chain import Point, reduced, Rows
 from ..transport import AbstractSolver
 from .forward import observe, Problem
 from .loss import robust
-from .parameters import PARAMETERS, with_values
-
-
-# these move the rays of a scene or the points on them
-MOVING = ("pointing_zenith", "pointing_azimuth", "aerosol_scale_height")
+from .parameters import MOVING, PARAMETERS, with_values
 
 
 class Setup(NamedTuple):
