@@ -1,6 +1,13 @@
 from .aerosol import Aerosol as Aerosol
 from .atmosphere import Atmosphere as Atmosphere, Ground as Ground
 from .constituent import AbstractConstituent as AbstractConstituent, Prescribed as Prescribed
+from .description import (
+    CONSTITUENTS as CONSTITUENTS,
+    describe as describe,
+    from_description as from_description,
+    PHASES as PHASES,
+    PROFILES as PROFILES,
+)
 from .droplets import droplet_phase as droplet_phase, Droplets as Droplets
 from .gas import (
     AbstractGas as AbstractGas,

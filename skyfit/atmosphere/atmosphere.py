@@ -60,6 +60,7 @@ class Atmosphere(eqx.Module):
 
     def __init__(
         self,
+        /,
         rayleigh: AbstractConstituent | type[Rayleigh] | None = Rayleigh,
         aerosol: AbstractConstituent | None = None,
         ozone: AbstractConstituent | type[Ozone] | None = Ozone,
@@ -76,9 +77,11 @@ class Atmosphere(eqx.Module):
         taken = {*dir(type(self)), *(field.name for field in fields(self))}
         for name, c in made.items():
             if not name.isidentifier() or name.startswith("_") or name in taken:
-                raise ValueError(f"`{name}` must be another name for a constituent: it means something else here")
+                raise ValueError(f"`{name}` must be another name: a word that means nothing else of an atmosphere")
             if c is not None and name not in present:
                 raise ValueError(f"`{name}` must be a constituent or None, got {c!r}")
+        if not (ground is Ground or isinstance(ground, Ground)):
+            raise ValueError(f"`ground` must be a `Ground`, got {ground!r}")
         self.names, self.constituents = tuple(present), tuple(present.values())
         self.ground = Ground() if isinstance(ground, type) else ground
 
@@ -99,7 +102,7 @@ class Atmosphere(eqx.Module):
         """
         return cls.from_optical_depth(turbidity_to_optical_depth(turbidity, relation), **aerosol)
 
-    def replace(self, *, ground: Ground | None = None, **constituents: AbstractConstituent | None) -> "Atmosphere":
+    def replace(self, /, *, ground: Ground | None = None, **constituents: AbstractConstituent | None) -> "Atmosphere":
         """This atmosphere with constituents replaced, added or, where None, left out, and with another ground."""
         parts = {"rayleigh": None, "ozone": None} | dict(zip(self.names, self.constituents, strict=True)) | constituents
         return Atmosphere(ground=self.ground if ground is None else ground, **parts)

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from ..numerics import as_float
 from ..tables import read_table
@@ -64,17 +64,11 @@ class Gas(AbstractGas):
             )
 
     @classmethod
-    def from_cross_section(
-        cls,
-        column: float | Float[Array, ""],
-        table_wavelength_nm: Float[ArrayLike, " band"],
-        cross_section: Float[ArrayLike, " band"],
-        profile: AbstractProfile,
-    ) -> "Gas":
+    def from_cross_section(cls, column, table_wavelength_nm, cross_section, profile: AbstractProfile) -> "Gas":
         """A gas by the cross section of its molecules, as spectroscopists tabulate it.
 
         **Arguments:** `column` in Dobson units (2.687e16 molecules cm^-2); `cross_section` `[band]`, cm^2 a molecule,
-        at `table_wavelength_nm`; `profile`. **Returns:** a `Gas` with `unit` "DU".
+        at `table_wavelength_nm` `[band]`; `profile`. **Returns:** a `Gas` with `unit` "DU".
         """
         per_dobson = np.asarray(cross_section, np.float64) * MOLECULES_PER_DOBSON
         return cls(

@@ -62,6 +62,11 @@ class Parameter(NamedTuple):
     group: str | None = None
     usual: tuple[str, ...] = ()
 
+    @property
+    def of_instrument(self) -> bool:
+        """Whether it is one of the instrument, not of the atmosphere."""
+        return self.place.startswith("instrument.")
+
     def leaf(self, model: SkyModel) -> Any:
         """The parameter's leaf in a model or in a half of `partition`; `AttributeError` where there is none."""
         return functools.reduce(getattr, self.place.split("."), model)
