@@ -157,7 +157,7 @@ def _array(value: Any, axes: list[str], key: str, sizes: dict[str, tuple[str, in
         other, known = sizes.setdefault(axis, (key, size))
         if size != known:
             raise ValueError(f"key `{key}`: expected as many numbers as in `{other}`, {known}, found {size}")
-    return as_float(value)
+    return as_float(np.asarray(value, np.float64))
 
 
 def _check_numbers(value: Any, axes: list[str], key: str) -> None:
