@@ -17,6 +17,7 @@ from .atmosphere import (
     CornetteShanks as CornetteShanks,
     Droplets as Droplets,
     Exponential as Exponential,
+    Gas as Gas,
     Ground as Ground,
     HenyeyGreenstein as HenyeyGreenstein,
     hoffman_haze as hoffman_haze,

@@ -118,7 +118,7 @@ def test_fit_json_has_the_keys_of_its_schema(chain):
         "atmosphere", "measurement", "priors", "smooth", "free", "shared", "fixed", "calibration", "times",
         "total_rmse", "notes",
     }  # fmt: skip
-    assert (record["schema"], record["version"], record["source"]) == ("skyfit.fit", 2, "sky.nc")
+    assert (record["schema"], record["version"], record["source"]) == ("skyfit.fit", 3, "sky.nc")
     assert record["solver"] == {"name": "SingleScattering", "nodes": 12, "geometry": "flat"}
     assert record["geometry"] == "flat" and record["instrument"] == {"fwhm_nm": 5.0, "response": None}
     assert set(record["station"]) == {"latitude_deg", "longitude_deg", "altitude_m", "pressure_pa"}
@@ -198,7 +198,7 @@ def two_skies(path):
     )
     radiance = np.stack([
         solver.radiance(
-            replace(skyfit.Atmosphere.from_turbidity(turbidity), ozone=skyfit.Ozone(350.0)),
+            skyfit.Atmosphere.from_turbidity(turbidity).replace(ozone=skyfit.Ozone(350.0)),
             skyfit.Scene.from_degrees(zenith, view, wavelength, 180.0),
         )
         for zenith, turbidity in ((50.0, 3.0), (40.0, 3.3))

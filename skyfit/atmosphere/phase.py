@@ -21,14 +21,14 @@ from ..tables import read_table
 REFERENCE_WAVELENGTH = 550.0
 # degree of polarisation of haze at 90 degrees from the sun, where its phase function says nothing of it
 HAZE_POLARISATION = 0.25
-# of integrals over the scattering angle, uniform in it
+# nodes of an integral over the scattering angle, uniform in it
 _ANGLES = 256
 
 
 class AbstractPhase(eqx.Module):
     """A phase function; the last axis of length 1 where it does not depend on wavelength."""
 
-    # of the last moment that is not zero, None where they go on
+    # the degree of the last moment that is not zero, None where they go on
     last_degree: eqx.AbstractClassVar[int | None]
 
     @abstractmethod

@@ -151,7 +151,8 @@ def _about(fit: Fit):
 
 def _haze(fit: Fit):
     """What follows of the optics of spheres, that parameters do not say."""
-    if not isinstance(fit.start.atmosphere.aerosol, TwoModeAerosol):
+    atmosphere = fit.start.atmosphere
+    if not ("aerosol" in atmosphere and isinstance(atmosphere.aerosol, TwoModeAerosol)):
         return
     optics = haze_optics(fit)
 

@@ -9,32 +9,12 @@ from ..measured import Measurement, Response, Sky
 from ..numerics.chain import Point
 from ..transport import AbstractSolver
 from .model import SkyModel
+from .parameters import DEFAULT_FREE
 from .prepared import check, first_points, Prepared, prepared
 from .report import fit_of
 from .result import Fit
 from .retrieve import retrieve
 from .uncertainty import Estimate
-
-
-# what a sky scan determines, and the pointing that it needs
-DEFAULT_FREE = (
-    "aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo", "asymmetry",
-    "asymmetry_second", "forward_fraction", "forward_fraction_slope", "ground_albedo", "pointing_zenith",
-    "pointing_azimuth",
-)  # fmt: skip
-# the same with particles: haze of spheres in two modes of size
-PARTICLE_FREE = (
-    "aerosol_optical_depth", "fine_fraction", "fine_radius", "coarse_radius", "refractive_index", "absorption_index",
-    "ground_albedo", "ground_red_edge", "pointing_zenith", "pointing_azimuth",
-)  # fmt: skip
-# what stays the same over a day: the kind of particle and the air; the amount of haze, the pointing and, under a moving
-# sun, what the ground reflects do not
-SLOW = (
-    "single_scattering_albedo", "single_scattering_albedo_slope", "asymmetry", "asymmetry_second", "forward_fraction",
-    "forward_fraction_slope", "haze_polarisation", "fine_fraction", "fine_radius", "coarse_radius", "fine_width",
-    "coarse_width", "refractive_index", "absorption_index", "aerosol_scale_height", "ozone", "ground_albedo_slope",
-    "pressure",
-)  # fmt: skip
 
 
 def invert(

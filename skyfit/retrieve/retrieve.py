@@ -58,7 +58,7 @@ def retrieve(
         nothing = jnp.zeros(len(free), dtype)
         priors = Priors(nothing, nothing, None, jnp.zeros((times - 1, len(choices.own)), dtype))
     if start is None:
-        point = jnp.stack([PARAMETERS[n].place_of(model) for n in choices.names]).astype(dtype)
+        point = jnp.stack([PARAMETERS[n].free_of(model) for n in choices.names]).astype(dtype)
         own, common = point[: len(choices.own)], point[len(choices.own) :]
         start = Point(jnp.broadcast_to(own, (1, times, own.size)), common[None])
     numbers = Numbers(*(jnp.asarray(v) for v in (threshold, model_error, max_steps)))
