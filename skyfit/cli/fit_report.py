@@ -198,7 +198,7 @@ def _rejected(fit: Fit):
         where = np.flatnonzero(fit.rejected[t])
         if not where.size:
             continue
-        zenith, azimuth = np.degrees(sky.view_zenith[where]), np.degrees(sky.view_azimuth[where])
+        zenith, azimuth = np.degrees(sky.view_zenith[t, where]), np.degrees(sky.view_azimuth[t, where])
         shown = [f"{z:.0f} {a:.0f}" for z, a in zip(zenith[:_MOST_NAMED], azimuth[:_MOST_NAMED], strict=True)]
         more = "" if where.size <= _MOST_NAMED else f" and {where.size - _MOST_NAMED} more"
         count = "1 direction" if where.size == 1 else f"{where.size} directions"

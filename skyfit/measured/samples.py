@@ -30,7 +30,8 @@ class Sky:
     - `radiance`: W m^-2 sr^-1 nm^-1, [time, direction, wavelength], NaN where missing
     - `sigma`: standard deviation of `radiance`, same unit and shape, or None
     - `usable`: bool, same shape; False where missing, negative, saturated or suspect
-    - `view_zenith`, `view_azimuth`: rad, [direction]; azimuth clockwise from north
+    - `view_zenith`, `view_azimuth`: rad, azimuth clockwise from north; given as [direction], the same at all times, or
+      as [time, direction], as which they are held; both NaN past the end of a shorter scan
     - `wavelength_nm`: nm, [wavelength], increasing
     - `sun_zenith`, `sun_azimuth`: rad, [time], in the frame of `view_azimuth`
     - `time`: datetime64, UTC, [time]; NaT where unknown
@@ -44,7 +45,7 @@ class Sky:
 
     **Returns** the sky, whose arrays agree in shape; otherwise `ValueError`.
 
-    **Valid** zenith angles in [0, pi]; a direction below the horizon must not be usable.
+    **Valid** zenith angles in [0, pi]; a direction that is NaN or below the horizon must not be usable.
     """
 
     # Shapes are checked below, in words that a reader of files can pass on.
@@ -100,6 +101,11 @@ class Sky:
         for name in STATION_RANGES:
             object.__setattr__(self, name, float(getattr(self, name)))
         object.__setattr__(self, "notes", tuple(self.notes))
+        for name in ("view_zenith", "view_azimuth"):
+            value = getattr(self, name)
+            if value.ndim == 1 and value.shape == self.radiance.shape[1:2]:
+                # no copy: a long series of one pattern holds it once
+                object.__setattr__(self, name, np.broadcast_to(value, self.radiance.shape[:2]))
         self._check_shapes()
         self._check_values()
 
@@ -114,8 +120,8 @@ class Sky:
         expected = {
             "sigma": self.radiance.shape,
             "usable": self.radiance.shape,
-            "view_zenith": (directions,),
-            "view_azimuth": (directions,),
+            "view_zenith": (times, directions),
+            "view_azimuth": (times, directions),
             "wavelength_nm": (wavelengths,),
             "sun_zenith": (times,),
             "sun_azimuth": (times,),
@@ -126,19 +132,23 @@ class Sky:
         for name, shape in expected.items():
             value = getattr(self, name)
             if value is not None and value.shape != shape:
+                other = f" or {shape[1:]}" if name.startswith("view") else ""
                 raise ValueError(
-                    f"`{name}` must have shape {shape} to agree with `radiance` "
+                    f"`{name}` must have shape {shape}{other} to agree with `radiance` "
                     f"{self.radiance.shape}, got {value.shape}"
                 )
 
     def _check_values(self):
+        # of a shorter scan, past its end
+        absent = np.isnan(self.view_zenith) & np.isnan(self.view_azimuth)
+        nowhere = {"view_zenith": absent, "view_azimuth": absent}
         for name in ("view_zenith", "sun_zenith"):
             value = getattr(self, name)
-            if not np.all((value >= 0.0) & (value <= np.pi)):
+            if not np.all((value >= 0.0) & (value <= np.pi) | nowhere.get(name, False)):
                 raise ValueError(f"`{name}` must be in [0, pi] rad, got {_extremes(value)}")
         for name in ("view_azimuth", "sun_azimuth"):
             value = getattr(self, name)
-            if not np.all(np.abs(value) < _LARGEST_AZIMUTH):
+            if not np.all((np.abs(value) < _LARGEST_AZIMUTH) | nowhere.get(name, False)):
                 raise ValueError(f"`{name}` must be finite and in rad, got {_extremes(value)}")
         wavelength = self.wavelength_nm
         if not (np.all(np.isfinite(wavelength)) and np.all(np.diff(wavelength) > 0.0)):
@@ -151,12 +161,21 @@ class Sky:
                 raise ValueError(f"`{name}` must be {low:g} to {high:g} {unit}, or NaN, got {value:g}")
         if not np.all(np.isfinite(self.radiance[self.usable])):
             raise ValueError("`usable` must be False where `radiance` is not finite")
-        if np.any(self.usable[:, self.view_zenith > 0.5 * np.pi + 1e-6]):
+        used = self.usable.any(axis=2)
+        if np.any(used & absent):
+            raise ValueError("`usable` must be False where `view_zenith` and `view_azimuth` are NaN")
+        if np.any(used & (self.view_zenith > 0.5 * np.pi + 1e-6)):
             raise ValueError("`usable` must be False where `view_zenith` is below the horizon, past pi/2 rad")
         if self.sigma is not None:
             sigma = self.sigma[self.usable]
             if not np.all((sigma > 0.0) & np.isfinite(sigma)):
                 raise ValueError("`usable` must be False where `sigma` is not positive and finite")
+
+    @property
+    def one_pattern(self) -> bool:
+        """Whether all times look in the same directions."""
+        views = self.view_zenith, self.view_azimuth
+        return all(np.array_equal(view, np.broadcast_to(view[:1], view.shape), equal_nan=True) for view in views)
 
     def counts(self) -> dict[str, int]:
         """How many samples there are, how many are usable, and how many each reason masked.
@@ -186,12 +205,14 @@ class Sky:
             radiance=self.radiance[part],
             sigma=None if self.sigma is None else self.sigma[part],
             usable=usable,
+            view_zenith=self.view_zenith[part],
+            view_azimuth=self.view_azimuth[part],
             sun_zenith=self.sun_zenith[part],
             sun_azimuth=self.sun_azimuth[part],
             time=self.time[part],
             direct_irradiance=None if self.direct_irradiance is None else self.direct_irradiance[part],
             direct_sigma=None if self.direct_sigma is None else self.direct_sigma[part],
-            masked=self.masked if times == 1 else self._recount(self.radiance[part], usable),
+            masked=self.masked if times == 1 else _recount(self.radiance[part], usable, self.view_zenith[part]),
         )
 
     def select(self, wavelength_nm: Float[np.ndarray, " wavelength"]) -> "Sky":
@@ -230,25 +251,25 @@ class Sky:
             wavelength_nm=wanted,
             direct_irradiance=None if self.direct_irradiance is None else interpolate(self.direct_irradiance),
             direct_sigma=None if self.direct_sigma is None else interpolate(self.direct_sigma),
-            masked=self._recount(radiance, usable),
+            masked=_recount(radiance, usable, self.view_zenith),
         )
 
-    def _recount(self, radiance, usable):
-        left = ~usable
-        below = np.broadcast_to((self.view_zenith > 0.5 * np.pi)[:, None], usable.shape[1:])
-        reasons = {
-            "missing": ~np.isfinite(radiance),
-            "negative": radiance < 0.0,
-            "below horizon": below,
-            "suspect": left,
-        }
-        counted = {}
-        for reason, where in reasons.items():
-            count = int(np.count_nonzero(left & where))
-            if count:
-                counted[reason] = count
-            left = left & ~where
-        return counted
+
+def _recount(radiance, usable, view_zenith):
+    left = ~usable
+    reasons = {
+        "missing": ~np.isfinite(radiance),
+        "negative": radiance < 0.0,
+        "below horizon": np.broadcast_to((view_zenith > 0.5 * np.pi)[..., None], usable.shape),
+        "suspect": left,
+    }
+    counted = {}
+    for reason, where in reasons.items():
+        count = int(np.count_nonzero(left & where))
+        if count:
+            counted[reason] = count
+        left = left & ~where
+    return counted
 
 
 def _extremes(values):

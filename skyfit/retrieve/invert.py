@@ -245,7 +245,7 @@ class Plan:
         reading = reading * scale[None]
         used = self.sampling.used[t]
         error = (reading - self.sky.radiance[t])[used]
-        weight = np.ones((len(self.sky.view_zenith), self.chosen.size))
+        weight = np.ones((self.sky.radiance.shape[1], self.chosen.size))
         held = np.asarray(self.problem.weight[t]).any(axis=1)
         weight[self.places[t][held]] = np.asarray(part.weight[index], float)[held]
         gain = np.zeros((len(order), *weight.shape))

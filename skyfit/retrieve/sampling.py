@@ -88,8 +88,8 @@ class Sampling:
         arrays = self._arrays(slice(None), chosen if self.response is None else self.inside)
         problem = Problem(
             **arrays,
-            view_zenith=as_float(sky.view_zenith[places]),
-            view_azimuth=as_float(sky.view_azimuth[places]),
+            view_zenith=as_float(np.nan_to_num(sky.view_zenith[rows, places])),
+            view_azimuth=as_float(np.nan_to_num(sky.view_azimuth[rows, places])),
             measured=as_float(measured),
             weight=as_float(weight),
             direct=None if direct is None else as_float(direct[0]),
@@ -130,8 +130,9 @@ class Sampling:
         nothing = np.zeros((1, *sky.radiance.shape[1:]))
         problem = Problem(
             **self._arrays(slice(time, time + 1), self.inside),
-            view_zenith=as_float(sky.view_zenith[None]),
-            view_azimuth=as_float(sky.view_azimuth[None]),
+            # a direction that this time has not: any place does
+            view_zenith=as_float(np.nan_to_num(sky.view_zenith[time : time + 1])),
+            view_azimuth=as_float(np.nan_to_num(sky.view_azimuth[time : time + 1])),
             measured=as_float(nothing),
             weight=as_float(nothing),
             field_of_view=self.field_of_view,
@@ -142,6 +143,7 @@ class Sampling:
             result[:, self.inside] = read
         else:
             result[:] = read
+        result[np.isnan(sky.view_zenith[time])] = np.nan
         return result
 
 

@@ -27,8 +27,9 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
 
     - `path`: NetCDF 4 (HDF5) or NetCDF 3; dimensions direction, wavelength and optionally time;
       variables `radiance`, optionally `sigma`, `suspect` (1 = masked), `direct_normal_irradiance` [time, wavelength]
-      and `direct_normal_irradiance_sigma`; coordinates `view_zenith`,
-      `view_azimuth`, `wavelength`; `sun_zenith` and `sun_azimuth`, or latitude, longitude and time
+      and `direct_normal_irradiance_sigma`; coordinates `view_zenith`, `view_azimuth` [direction] or [time, direction],
+      both NaN past the end of a shorter scan, `wavelength`; `sun_zenith` and `sun_azimuth` [time], or latitude,
+      longitude and time
     - `station`: numbers that stand instead of the file's own, by name
 
     **Returns** a `Sky`. `sun_azimuth_instrument`, where finite, stands before `sun_azimuth`.
@@ -50,10 +51,11 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
     suspect = None
     if "suspect" in data:
         suspect = _spread(name, data, "suspect", axes, radiance) != 0.0
-    zenith, known = _angle(name, data, "view_zenith", ("direction",), shape[1])
-    azimuth, _ = _angle(name, data, "view_azimuth", ("direction",), shape[1])
-    sun_zenith, _ = _angle(name, data, "sun_zenith", ("time",), shape[0])
-    sun_azimuth, note = _sun_azimuth(name, data, shape[0])
+    zenith, known = _angle(name, data, "view_zenith", "direction", radiance)
+    azimuth, _ = _angle(name, data, "view_azimuth", "direction", radiance)
+    zenith, azimuth = _alike(zenith, azimuth)
+    sun_zenith, _ = _angle(name, data, "sun_zenith", "time", radiance)
+    sun_azimuth, note = _sun_azimuth(name, data, radiance)
     notes += note
     direct, direct_sigma, converted = _beam(name, data, radiance)
     notes += converted
@@ -185,27 +187,46 @@ def _spread(name, data, key, axes, radiance):
     return np.broadcast_to(numbers[index], radiance.shape).copy()
 
 
-def _angle(name, data, key, axes, length):
-    """An angle in degrees, and whether it was converted from radians; NaN where absent."""
+# dimensions that an angle may have, all of them, in the place of the one that it must have
+_OF_ANGLES = {"direction": ("time", "direction"), "time": ("time",)}
+
+
+def _angle(name, data, key, along, radiance):
+    """An angle in degrees, along one dimension or all it may have, and whether it was in radians; NaN if absent."""
+    length = radiance.sizes[along]
     if key not in data:
         return np.full(length, np.nan), False
-    variable = data[key]
-    if variable.dims not in (axes, ()) or (variable.dims == () and axes == ("direction",)):
+    variable, axes = data[key], _OF_ANGLES[along]
+    if not set(variable.dims) <= set(axes) or (along == "direction" and along not in variable.dims):
         raise ValueError(
-            f"{name}: variable `{key}`: expected dimension {axes[0]}, "
+            f"{name}: variable `{key}`: expected dimension {along}{' or ' + ', '.join(axes) if len(axes) > 1 else ''}, "
             f"found {', '.join(map(str, variable.dims)) or 'none'}"
         )
     units = str(variable.attrs.get("units", ""))
     radian = is_radian(units)
     if radian is None:
         raise ValueError(f"{name}: variable `{key}`: expected units degree, found {units!r}")
-    numbers = np.broadcast_to(_numbers(name, variable), (length,)).copy()
+    numbers = _numbers(name, variable)
+    if variable.ndim < 2:
+        numbers = np.broadcast_to(numbers, (length,)).copy()
+    else:
+        numbers = numbers.transpose([variable.dims.index(axis) for axis in axes])
+        if numbers.shape != tuple(radiance.sizes[axis] for axis in axes):
+            raise ValueError(
+                f"{name}: variable `{key}`: expected dimensions of `radiance`, found {', '.join(variable.dims)}"
+            )
     return (np.rad2deg(numbers) if radian else numbers), radian
 
 
-def _sun_azimuth(name, data, length):
-    azimuth, _ = _angle(name, data, "sun_azimuth", ("time",), length)
-    own, _ = _angle(name, data, "sun_azimuth_instrument", ("time",), length)
+def _alike(*angles):
+    """Angles in one shape, that of the one of most dimensions."""
+    shape = max((angle.shape for angle in angles), key=len)
+    return [np.broadcast_to(angle, shape) for angle in angles]
+
+
+def _sun_azimuth(name, data, radiance):
+    azimuth, _ = _angle(name, data, "sun_azimuth", "time", radiance)
+    own, _ = _angle(name, data, "sun_azimuth_instrument", "time", radiance)
     finite = np.isfinite(own)
     if not np.any(finite):
         return azimuth, []
@@ -306,10 +327,12 @@ def write_netcdf(sky: Sky, path: Path) -> None:
         about = {"units": IRRADIANCE, "long_name": f"standard deviation of {_BEAM}"}
         variables[f"{_BEAM}_sigma"] = (("time", "wavelength"), sky.direct_sigma, about)
     clockwise = {"units": "degree", "comment": "clockwise from north"}
+    views = [degrees(view[0] if sky.one_pattern else view) for view in (sky.view_zenith, sky.view_azimuth)]
+    of_views = ("time", "direction")[-views[0].ndim :]
     coordinates = {
         "wavelength": ("wavelength", sky.wavelength_nm, {"units": "nm"}),
-        "view_zenith": ("direction", degrees(sky.view_zenith), {"units": "degree"}),
-        "view_azimuth": ("direction", degrees(sky.view_azimuth), clockwise),
+        "view_zenith": (of_views, views[0], {"units": "degree"}),
+        "view_azimuth": (of_views, views[1], clockwise),
         "time": ("time", sky.time),
     }
     data = xarray.Dataset(variables, coordinates, attributes(sky))

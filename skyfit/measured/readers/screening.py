@@ -25,11 +25,12 @@ _LONGEST_NM = 2600.0
 class Contents:
     """What a reader found: file units (degrees), before any screening.
 
-    **Arguments** arrays as in `Sky`, angles in degrees; `station` holds numbers by the names
-    latitude, longitude, altitude_m, pressure_pa, fwhm_nm; `suspect` is True where masked;
-    `rows`: axis -> the row where each of its values first stands, for errors; `angles_known`: the
-    file said radians, so that no small angle is suspicious; `turned`: azimuths are in the instrument's own frame.
-    `direct`, `direct_sigma`: irradiance of the sun's beam and its standard deviation, W m^-2 nm^-1, [time, wavelength].
+    **Arguments** arrays as in `Sky`, angles in degrees; views may be NaN where a time has no samples; `station` holds
+    numbers by the names latitude, longitude, altitude_m, pressure_pa, fwhm_nm; `suspect` is True where masked;
+    `rows`: axis -> the row where each of its values first stands ("direction": in the shape of the views), for errors;
+    `angles_known`: the file said radians, so that no small angle is suspicious; `turned`: azimuths are in the
+    instrument's own frame. `direct`, `direct_sigma`: irradiance of the sun's beam and its standard deviation,
+    W m^-2 nm^-1, [time, wavelength].
     """
 
     name: str
@@ -49,7 +50,7 @@ class Contents:
     notes: list[str] = field(default_factory=list)
     angles_known: bool = False
     turned: bool = False
-    rows: dict[str, list[int]] = field(default_factory=dict)
+    rows: dict[str, list] = field(default_factory=dict)
 
 
 def assemble(found: Contents) -> Sky:
@@ -126,13 +127,13 @@ def screen(
 ) -> tuple[np.ndarray, np.ndarray, dict[str, int]]:
     """Mask the samples that must not be used, and count them by the first reason that holds.
 
-    **Arguments** arrays [time, direction, wavelength]; `view_zenith_deg` [direction];
+    **Arguments** arrays [time, direction, wavelength]; `view_zenith_deg` [direction] or [time, direction];
     `saturation`: the radiance at which the detector saturates, if known.
 
     **Returns** radiance with NaN where not finite, `usable`, and the counts.
     """
     radiance = np.array(radiance, dtype=np.float64)
-    below = np.broadcast_to((view_zenith_deg > 90.0)[:, None], radiance.shape)
+    below = np.broadcast_to((view_zenith_deg > 90.0)[..., None], radiance.shape)
     with np.errstate(invalid="ignore"):
         reasons = {
             "missing": np.isnan(radiance) | (np.isfinite(radiance) & (radiance > _FILL)),
@@ -180,6 +181,8 @@ def check_angles(name: str, zenith: np.ndarray, azimuth: np.ndarray, known: bool
 
     **Valid** certain only for a scan: more than three directions, none past 1.6.
     """
+    known_ones = np.isfinite(zenith) & np.isfinite(azimuth)
+    zenith, azimuth = zenith[known_ones], azimuth[known_ones]
     directions = len(set(zip(zenith.tolist(), azimuth.tolist(), strict=True)))
     if not known and directions > 3 and 0.0 < np.max(zenith) <= _RADIAN_LIMIT:
         raise ValueError(
@@ -192,13 +195,17 @@ def _check_directions(found):
     zenith, azimuth = found.view_zenith.astype(np.float64), found.view_azimuth.astype(np.float64)
     # At the zenith an azimuth means nothing, and files leave it out.
     azimuth = np.where(np.isnan(azimuth) & (zenith == 0.0), 0.0, azimuth)
+    absent = np.zeros(zenith.shape, bool)
+    if zenith.ndim == 2:
+        # a scan that is shorter than the longest
+        absent = np.isnan(zenith) & np.isnan(azimuth) & np.isnan(found.radiance).all(axis=2)
     for column, values, low, high in (
         ("view_zenith", zenith, 0.0, 180.0),
         ("view_azimuth", azimuth, -360.0, 720.0),
     ):
-        wrong = ~((values >= low) & (values <= high))
-        if np.any(wrong):
-            index = int(np.argmax(wrong))
+        wrong = np.argwhere(~((values >= low) & (values <= high) | absent))
+        if wrong.size:
+            index = tuple(wrong[0])
             raise ValueError(
                 f"{found.name}: {_row(found, 'direction', index)}, column `{column}`: "
                 f"expected degrees in [{low:g}, {high:g}], found {values[index]:g}"
@@ -208,8 +215,11 @@ def _check_directions(found):
 
 
 def _row(found, axis, index):
-    rows = found.rows.get(axis)
-    return f"{axis} {index}" if rows is None else f"row {rows[index]}"
+    """Where the value of an index first stands: a row of the file, or the index, after that of its time."""
+    rows, index = found.rows.get(axis), np.atleast_1d(index)
+    if rows is not None:
+        return f"row {np.asarray(rows)[tuple(index)]}"
+    return "".join(f"time {time}, " for time in index[:-1]) + f"{axis} {index[-1]}"
 
 
 def _check_wavelengths(found):

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from ..samples import Sky
 from ..units import RADIANCE, radiance_factor
-from .grid import Axis, fill, repeated
+from .grid import Axis, by_time, fill, repeated
 from .netcdf import attributes, degrees
 from .screening import assemble, check_angles, Contents
 
@@ -59,7 +59,8 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
       altitude_m, pressure_pa, fwhm_nm, saturation, units
     - `station`: numbers that stand instead of the file's own, by name
 
-    **Returns** a `Sky`; directions are the union over times, with masked samples where absent.
+    **Returns** a `Sky`; directions are the union over times, with masked samples where absent, or those of each time
+    where that would leave half of the union or more without samples: of an almucantar, which moves with the sun.
 
     **Valid** a sample given twice, or text where a number belongs, is a `ValueError` with its row.
     """
@@ -85,7 +86,10 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
             [wavelengths.place(value) for value in number["wavelength"].tolist()],
         ]
     )
-    shape = (len(times), len(directions), len(wavelengths))
+    views = np.array(directions.values())
+    which = index[1].copy()
+    index[1], view = by_time(index[0], which)
+    shape = (len(times), view.shape[-1], len(wavelengths))
     _check_grid(name, shape, len(lines))
     twice = repeated(shape, index)
     if twice is not None:
@@ -108,15 +112,17 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
     unused = [key for key in header if key not in number and key != "time"]
     if unused:
         notes.append("columns not used: " + ", ".join(unused))
-    zenith, azimuth = np.array(directions.values()).T
     time = np.array(times.values(), dtype=np.int64).view("datetime64[ns]")
     order = np.argsort(time, kind="stable")
 
     first = {
-        axis: np.array(lines)[np.unique(places, return_index=True)[1]].tolist()
-        for axis, places in zip(("time", "direction", "wavelength"), index, strict=True)
+        axis: np.array(lines)[np.unique(places, return_index=True)[1]]
+        for axis, places in zip(("time", "direction", "wavelength"), (index[0], which, index[2]), strict=True)
     }
-    first["time"] = [first["time"][place] for place in order]
+    first["time"], view = first["time"][order], view if view.ndim == 1 else view[order]
+    # by a direction's first appearance at any time, which is where its angles are wrong first
+    first["direction"] = first["direction"][view]
+    zenith, azimuth = (np.where(view < 0, np.nan, angle[view]) for angle in views.T)
 
     def gridded(key, absent):
         return fill(shape, index, number[key], absent)[order]
@@ -138,7 +144,7 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
             station=numbers,
             saturation=None if saturation is None else saturation * factor,
             notes=notes,
-            rows=first,
+            rows={axis: rows.tolist() for axis, rows in first.items()},
         )
     )
 
@@ -354,11 +360,13 @@ def write_tidy(sky: Sky, path: Path) -> None:
     timed = not (len(sky.time) == 1 and np.isnat(sky.time[0]))
     if timed and (np.any(np.isnat(sky.time)) or len(np.unique(sky.time)) < len(sky.time)):
         raise ValueError("a CSV tells times apart by `time`: expected all to be known and to differ; write NetCDF")
-    zenith, azimuth = degrees(sky.view_zenith).tolist(), degrees(sky.view_azimuth).tolist()
-    if len(set(zip(zenith, azimuth, strict=True))) < len(zenith):
-        raise ValueError(
-            "a CSV tells directions apart by `view_zenith` and `view_azimuth`: expected all to differ; write NetCDF"
-        )
+    views = np.stack([degrees(sky.view_zenith), degrees(sky.view_azimuth)], axis=2)
+    there = np.isfinite(views).all(axis=2)
+    for pattern, known in zip(views[:1] if sky.one_pattern else views, there, strict=False):
+        if len(np.unique(pattern[known], axis=0)) < known.sum():
+            raise ValueError(
+                "a CSV tells directions apart by `view_zenith` and `view_azimuth`: expected all to differ; write NetCDF"
+            )
     header = (["time"] if timed else []) + list(_REQUIRED)
     header += (["sigma"] if sky.sigma is not None else []) + ["suspect", *_PER_TIME]
     beam = [values for values in (sky.direct_irradiance, sky.direct_sigma) if values is not None]
@@ -375,7 +383,8 @@ def write_tidy(sky: Sky, path: Path) -> None:
         writer.writerow(header)
         for time, moment in enumerate(sky.time):
             start = [_iso(moment)] if timed else []
-            for direction, angles in enumerate(zip(zenith, azimuth, strict=True)):
+            for direction in np.flatnonzero(there[time]):
+                angles = views[time, direction].tolist()
                 rows = sky.radiance[time, direction].tolist()
                 sigma = None if sky.sigma is None else sky.sigma[time, direction].tolist()
                 masked = (~sky.usable[time, direction]).astype(int).tolist()

@@ -120,10 +120,11 @@ def _time_record(fit: Fit, t: int, optics: dict[str, Derived]) -> dict:
 
 def _rejected(fit: Fit, t: int) -> list[dict]:
     sky, weight = fit.sky, fit.weight[t]
+    zenith, azimuth = degrees(sky.view_zenith[t]), degrees(sky.view_azimuth[t])
     return [
         {
-            "view_zenith_deg": degrees(sky.view_zenith)[d],
-            "view_azimuth_deg": degrees(sky.view_azimuth)[d],
+            "view_zenith_deg": zenith[d],
+            "view_azimuth_deg": azimuth[d],
             "weight": np.nanmean(weight[d]),
         }
         for d in np.flatnonzero(fit.rejected[t])
@@ -205,7 +206,7 @@ def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) ->
     radiance = np.asarray(radiance, np.float64)
     if radiance.shape != sky.radiance.shape:
         raise ValueError(f"`radiance` must have the shape {sky.radiance.shape} of `sky`, got {radiance.shape}")
-    seen = (sky.view_zenith <= 0.5 * np.pi)[None, :, None]
+    seen = (sky.view_zenith <= 0.5 * np.pi)[..., None]
     usable = np.isfinite(radiance) & (radiance >= 0.0) & seen
     notes = (f"predicted by skyfit for the samples of {sky.source}",)
     predicted = {"radiance": radiance, "sigma": None, "usable": usable, "direct_irradiance": None, "direct_sigma": None}
