@@ -42,7 +42,7 @@ def _print_skies(fit: Fit) -> None:
         skies.add_column(heading, justify="right", no_wrap=True)
     skies.add_column("result")
     for t, name in enumerate(names):
-        angles = (f"{np.degrees(angle[t]):.2f}" for angle in (fit.sky.sun_zenith, fit.sky.sun_azimuth))
+        angles = (f"{np.degrees(angle):.2f}" for angle in fit.sky.sun_at(t))
         chi_square, freedom = f"{fit.reduced_chi_square[t]:.2f}", f"{fit.degrees_of_freedom[t]:.1f}"
         skies.add_row(
             name, *angles, f"{factor * fit.rmse[t]:.2f}", chi_square, freedom, f"{fit.steps[t]}",

@@ -163,7 +163,7 @@ def _draw_row(figure, fit: Fit, t: int, band, base: float, height: float, tall: 
     model = fit.model[t][:, band].mean(axis=1)
     model = np.where(sky.view_zenith[t] <= 0.5 * np.pi, model, np.nan)
     difference = 100.0 * (same - measured) / (np.nanmean(measured) if kept.any() else 1.0)
-    sun = (sky.sun_zenith[t], sky.sun_azimuth[t])
+    sun = sky.sun_at(t)
     view = sky.view_zenith[t], sky.view_azimuth[t]
     nearest = cells(*view)
     limit = _limit(difference)
@@ -202,7 +202,8 @@ def _draw_row(figure, fit: Fit, t: int, band, base: float, height: float, tall: 
 
 def _title(fit: Fit, t: int) -> str:
     sky = fit.sky
-    degrees = np.degrees([sky.sun_zenith[t], sky.sun_azimuth[t] % (2.0 * np.pi)])
+    zenith, azimuth = sky.sun_at(t)
+    degrees = np.degrees([zenith, azimuth % (2.0 * np.pi)])
     return (
         f"{time_names(sky)[t].replace('T', ' ').removesuffix('Z')}{'' if np.isnat(sky.time[t]) else ' UTC'}"
         f"    sun zenith {degrees[0]:.1f}\N{DEGREE SIGN}, azimuth {degrees[1]:.1f}\N{DEGREE SIGN}"

@@ -33,7 +33,8 @@ class Sky:
     - `view_zenith`, `view_azimuth`: rad, azimuth clockwise from north; given as [direction], the same at all times, or
       as [time, direction], as which they are held; both NaN past the end of a shorter scan
     - `wavelength_nm`: nm, [wavelength], increasing
-    - `sun_zenith`, `sun_azimuth`: rad, [time], in the frame of `view_azimuth`
+    - `sun_zenith`, `sun_azimuth`: rad, in the frame of `view_azimuth`, [time], or [time, wavelength] where the sun has
+      moved between the wavelengths (a filter wheel takes its time); `sun_at` gives the mean
     - `time`: datetime64, UTC, [time]; NaT where unknown
     - `latitude_deg`, `longitude_deg`, `altitude_m`, `pressure_pa`: the station, NaN if unknown
     - `fwhm_nm`: full width at half maximum of the instrument's Gaussian line shape, nm, or NaN
@@ -106,8 +107,22 @@ class Sky:
             if value.ndim == 1 and value.shape == self.radiance.shape[1:2]:
                 # no copy: a long series of one pattern holds it once
                 object.__setattr__(self, name, np.broadcast_to(value, self.radiance.shape[:2]))
+        self._hold_sun()
         self._check_shapes()
         self._check_values()
+
+    def _hold_sun(self):
+        """Both of the sun's angles with an axis of wavelength where one of them varies along it, else without."""
+        angles = self.sun_zenith, self.sun_azimuth
+        grid = self.radiance.shape[::2]
+        # a shape that is neither is for the check to refuse
+        if not any(angle.shape == grid for angle in angles) or any(angle.shape[:1] != grid[:1] for angle in angles):
+            return
+        angles = [angle[:, None] if angle.ndim == 1 else angle for angle in angles]
+        still = all(np.array_equal(angle, np.broadcast_to(angle[:, :1], angle.shape)) for angle in angles)
+        for name, angle in zip(("sun_zenith", "sun_azimuth"), angles, strict=True):
+            held = angle[:, 0] if still else np.broadcast_to(angle, grid) if angle.shape[1] == 1 else angle
+            object.__setattr__(self, name, held)
 
     def _check_shapes(self):
         if self.radiance.ndim != 3:
@@ -123,8 +138,8 @@ class Sky:
             "view_zenith": (times, directions),
             "view_azimuth": (times, directions),
             "wavelength_nm": (wavelengths,),
-            "sun_zenith": (times,),
-            "sun_azimuth": (times,),
+            "sun_zenith": (times, wavelengths)[: self.sun_zenith.ndim or 1],
+            "sun_azimuth": (times, wavelengths)[: self.sun_zenith.ndim or 1],
             "time": (times,),
             "direct_irradiance": (times, wavelengths),
             "direct_sigma": (times, wavelengths),
@@ -133,6 +148,7 @@ class Sky:
             value = getattr(self, name)
             if value is not None and value.shape != shape:
                 other = f" or {shape[1:]}" if name.startswith("view") else ""
+                other = f" or {(times, wavelengths)}" if name.startswith("sun") and len(shape) == 1 else other
                 raise ValueError(
                     f"`{name}` must have shape {shape}{other} to agree with `radiance` "
                     f"{self.radiance.shape}, got {value.shape}"
@@ -176,6 +192,15 @@ class Sky:
         """Whether all times look in the same directions."""
         views = self.view_zenith, self.view_azimuth
         return all(np.array_equal(view, np.broadcast_to(view[:1], view.shape), equal_nan=True) for view in views)
+
+    def sun_at(self, time: int) -> tuple[float, float]:
+        """Zenith angle and azimuth of the sun at a time, rad; the mean where they differ between the wavelengths."""
+        zenith, azimuth = self.sun_zenith[time], self.sun_azimuth[time]
+        if zenith.ndim == 0:
+            return float(zenith), float(azimuth)
+        # azimuths may lie on both sides of north
+        turned = np.mean(np.remainder(azimuth - azimuth[0] + np.pi, 2.0 * np.pi) - np.pi)
+        return float(np.mean(zenith)), float(azimuth[0] + turned)
 
     def counts(self) -> dict[str, int]:
         """How many samples there are, how many are usable, and how many each reason masked.
@@ -223,7 +248,8 @@ class Sky:
         **Arguments** `wavelength_nm`: nm, increasing, inside the range of the sky's own.
 
         **Returns** a `Sky`; a sample is usable only if both its neighbours are. sigma is that of
-        fully correlated neighbours, the cautious choice. `masked` is counted anew.
+        fully correlated neighbours, the cautious choice. A sun that moves between wavelengths is
+        interpolated too. `masked` is counted anew.
 
         **Valid** inside the range; outside it, `ValueError`.
         """
@@ -238,8 +264,13 @@ class Sky:
         gap = np.where(above == below, 1.0, own[above] - own[below])
         weight = (wanted - own[below]) / gap
 
-        def interpolate(values):
-            return values[..., below] + weight * (values[..., above] - values[..., below])
+        def interpolate(values, turns=False):
+            step = values[..., above] - values[..., below]
+            # an azimuth goes the shorter way round
+            step = np.remainder(step + np.pi, 2.0 * np.pi) - np.pi if turns else step
+            return values[..., below] + weight * step
+
+        moves = self.sun_zenith.ndim > 1
 
         radiance = interpolate(self.radiance)
         usable = self.usable[..., below] & self.usable[..., above]
@@ -249,6 +280,8 @@ class Sky:
             sigma=None if self.sigma is None else interpolate(self.sigma),
             usable=usable,
             wavelength_nm=wanted,
+            sun_zenith=interpolate(self.sun_zenith) if moves else self.sun_zenith,
+            sun_azimuth=interpolate(self.sun_azimuth, turns=True) if moves else self.sun_azimuth,
             direct_irradiance=None if self.direct_irradiance is None else interpolate(self.direct_irradiance),
             direct_sigma=None if self.direct_sigma is None else interpolate(self.direct_sigma),
             masked=_recount(radiance, usable, self.view_zenith),

@@ -146,7 +146,7 @@ class Plan:
     def flaws(self) -> list[str]:
         """Why each time cannot be fitted: "no_samples", "too_few_samples", "sun_below_horizon", or "" if it can."""
         counts = self.sampling.used[:, :, self.chosen].sum(axis=(1, 2))
-        up = self.sky.sun_zenith < 0.5 * np.pi
+        up = self.sky.sun_zenith.reshape(len(counts), -1).max(axis=1) < 0.5 * np.pi
         return [
             "sun_below_horizon" if not up[t]
             else "no_samples" if not counts[t]

@@ -123,7 +123,7 @@ class Fit:
         lines = []
         for t, name in enumerate(time_names(self.sky)):
             lines.append(
-                f"{name}  sun zenith {np.degrees(self.sky.sun_zenith[t]):.1f} deg  {self.result[t]} in "
+                f"{name}  sun zenith {np.degrees(self.sky.sun_at(t)[0]):.1f} deg  {self.result[t]} in "
                 f"{self.steps[t]} steps  rmse {1e3 * self.rmse[t]:.2f} mW m-2 sr-1 nm-1  "
                 f"reduced chi-square {self.reduced_chi_square[t]:.2f}"
             )

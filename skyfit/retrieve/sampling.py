@@ -85,7 +85,7 @@ class Sampling:
         measured = np.where(mask, sky.radiance[rows, places][..., chosen], 0.0)
         weight = np.where(mask, 1.0 / sigma[rows, places][..., chosen], 0.0)
         direct = self._direct(chosen)
-        arrays = self._arrays(slice(None), chosen if self.response is None else self.inside)
+        arrays = self._arrays(slice(None), chosen)
         problem = Problem(
             **arrays,
             view_zenith=as_float(np.nan_to_num(sky.view_zenith[rows, places])),
@@ -110,15 +110,18 @@ class Sampling:
             return None
         return np.where(good, values, 0.0), np.where(good, 1.0 / np.where(good, sigma, 1.0), 0.0)
 
-    def _arrays(self, times, wavelengths) -> dict:
+    def _arrays(self, times, channels) -> dict:
+        """Suns and spectra of some times, at some of the sky's wavelengths, or for some channels of its response."""
         sky = self.sky
+        wavelengths = channels if self.response is None else self.inside
+        suns = [as_float(v[times] if v.ndim == 1 else v[times][:, channels]) for v in (sky.sun_zenith, sky.sun_azimuth)]
         count = len(sky.time[times])
         stamps = sky.time[times]
         factor = np.array([1.0 if np.isnat(t) else earth_sun_factor(day_of_year(t)) for t in stamps])
-        weight = None if self.response is None else self.response.weight[:, wavelengths]
+        weight = None if self.response is None else self.response.weight[np.ix_(channels, wavelengths)]
         return {
-            "sun_zenith": as_float(sky.sun_zenith[times]),
-            "sun_azimuth": as_float(sky.sun_azimuth[times]),
+            "sun_zenith": suns[0],
+            "sun_azimuth": suns[1],
             "irradiance": as_float(factor[:, None] * self.irradiance[wavelengths][None]),
             "wavelength_nm": as_float(np.broadcast_to(self.spectrum[wavelengths], (count, len(wavelengths)))),
             "response": None if weight is None else as_float(np.broadcast_to(weight, (count, *weight.shape))),
@@ -127,9 +130,11 @@ class Sampling:
     def readings(self, solver: AbstractSolver, model: SkyModel, time: int) -> np.ndarray:
         """The model in every direction, at each wavelength or channel, `[direction, wavelength]`; NaN beyond it."""
         sky = self.sky
-        nothing = np.zeros((1, *sky.radiance.shape[1:]))
+        # all channels of a response, or what the solar spectrum covers of the wavelengths
+        places = self.inside if self.response is None else np.arange(sky.radiance.shape[2])
+        nothing = np.zeros((1, sky.radiance.shape[1], places.size))
         problem = Problem(
-            **self._arrays(slice(time, time + 1), self.inside),
+            **self._arrays(slice(time, time + 1), places),
             # a direction that this time has not: any place does
             view_zenith=as_float(np.nan_to_num(sky.view_zenith[time : time + 1])),
             view_azimuth=as_float(np.nan_to_num(sky.view_azimuth[time : time + 1])),
@@ -138,11 +143,7 @@ class Sampling:
             field_of_view=self.field_of_view,
         )
         result = np.full(sky.radiance.shape[1:], np.nan)
-        read = np.asarray(_read(solver, model, problem.at(0)))
-        if self.response is None:
-            result[:, self.inside] = read
-        else:
-            result[:] = read
+        result[:, places] = np.asarray(_read(solver, model, problem.at(0)))
         result[np.isnan(sky.view_zenith[time])] = np.nan
         return result
 

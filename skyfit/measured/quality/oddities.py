@@ -44,7 +44,7 @@ def examine(sky: Sky, used: Bool[np.ndarray, "time direction wavelength"]) -> tu
     used = used & inside
     found, impossible = [*_station(sky), *_repeated(sky, used)], []
     # a sun below the horizon, or no samples, is for the fit to refuse
-    times = [time for time in range(len(sky.time)) if used[time].any() and sky.sun_zenith[time] < 0.5 * np.pi]
+    times = [time for time in range(len(sky.time)) if used[time].any() and sky.sun_at(time)[0] < 0.5 * np.pi]
     for time in times:
         light = _light(sky, used, time)
         impossible += _impossible(light)
@@ -141,7 +141,7 @@ def _air(sky: Sky, time: int):
     """
     depth = bodhaine_optical_depth(sky.wavelength_nm)[None]
     view = np.maximum(np.cos(sky.view_zenith[time]), 0.02)[:, None]
-    sun = max(float(np.cos(sky.sun_zenith[time])), 0.02)
+    sun = max(float(np.cos(sky.sun_at(time)[0])), 0.02)
     gap = depth * (1.0 / view - 1.0 / sun)
     gap = np.where(np.abs(gap) < 1e-6, 1e-6, gap)
     path = depth / view * np.exp(-depth / sun) * -np.expm1(-gap) / gap
@@ -182,8 +182,7 @@ def _extent(sky: Sky, used, time: int):
 
 
 def _cosine(sky: Sky, time: int):
-    view = sky.view_zenith[time], sky.view_azimuth[time]
-    return cosine_from_sun(*view, sky.sun_zenith[time], sky.sun_azimuth[time])
+    return cosine_from_sun(sky.view_zenith[time], sky.view_azimuth[time], *sky.sun_at(time))
 
 
 def _angle_from_sun(sky: Sky, time: int):

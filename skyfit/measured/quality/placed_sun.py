@@ -37,7 +37,7 @@ def misplaced_sun(sky: Sky, used: Bool[np.ndarray, "time direction wavelength"],
     if seen is None:
         return ""
     bright, zenith, azimuth = seen
-    sun = float(sky.sun_zenith[time]), float(sky.sun_azimuth[time])
+    sun = sky.sun_at(time)
     rest = _without_zenith(zenith)
     stated = _correlation(rest(_lobe(zenith, azimuth, *sun)), rest(bright))
     if stated >= _UNLIKELY:

@@ -28,8 +28,8 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
     - `path`: NetCDF 4 (HDF5) or NetCDF 3; dimensions direction, wavelength and optionally time;
       variables `radiance`, optionally `sigma`, `suspect` (1 = masked), `direct_normal_irradiance` [time, wavelength]
       and `direct_normal_irradiance_sigma`; coordinates `view_zenith`, `view_azimuth` [direction] or [time, direction],
-      both NaN past the end of a shorter scan, `wavelength`; `sun_zenith` and `sun_azimuth` [time], or latitude,
-      longitude and time
+      both NaN past the end of a shorter scan, `wavelength`; `sun_zenith` and `sun_azimuth` [time] or
+      [time, wavelength], or latitude, longitude and time
     - `station`: numbers that stand instead of the file's own, by name
 
     **Returns** a `Sky`. `sun_azimuth_instrument`, where finite, stands before `sun_azimuth`.
@@ -53,9 +53,10 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
         suspect = _spread(name, data, "suspect", axes, radiance) != 0.0
     zenith, known = _angle(name, data, "view_zenith", "direction", radiance)
     azimuth, _ = _angle(name, data, "view_azimuth", "direction", radiance)
-    zenith, azimuth = _alike(zenith, azimuth)
+    zenith, azimuth = _alike(zenith, azimuth, along=1)
     sun_zenith, _ = _angle(name, data, "sun_zenith", "time", radiance)
     sun_azimuth, note = _sun_azimuth(name, data, radiance)
+    sun_zenith, sun_azimuth = _alike(sun_zenith, sun_azimuth, along=0)
     notes += note
     direct, direct_sigma, converted = _beam(name, data, radiance)
     notes += converted
@@ -188,7 +189,7 @@ def _spread(name, data, key, axes, radiance):
 
 
 # dimensions that an angle may have, all of them, in the place of the one that it must have
-_OF_ANGLES = {"direction": ("time", "direction"), "time": ("time",)}
+_OF_ANGLES = {"direction": ("time", "direction"), "time": ("time", "wavelength")}
 
 
 def _angle(name, data, key, along, radiance):
@@ -206,33 +207,40 @@ def _angle(name, data, key, along, radiance):
     radian = is_radian(units)
     if radian is None:
         raise ValueError(f"{name}: variable `{key}`: expected units degree, found {units!r}")
-    numbers = _numbers(name, variable)
-    if variable.ndim < 2:
-        numbers = np.broadcast_to(numbers, (length,)).copy()
-    else:
-        numbers = numbers.transpose([variable.dims.index(axis) for axis in axes])
-        if numbers.shape != tuple(radiance.sizes[axis] for axis in axes):
-            raise ValueError(
-                f"{name}: variable `{key}`: expected dimensions of `radiance`, found {', '.join(variable.dims)}"
-            )
+    sizes = dict(radiance.sizes)
+    if any(variable.sizes[axis] != sizes[axis] for axis in variable.dims):
+        raise ValueError(
+            f"{name}: variable `{key}`: expected dimensions of `radiance` {radiance.shape}, found {variable.shape}"
+        )
+    whole = (along,) if set(variable.dims) <= {along} else axes
+    kept = [axis for axis in whole if axis in variable.dims]
+    numbers = _numbers(name, variable).transpose([variable.dims.index(axis) for axis in kept])
+    numbers = numbers[tuple(slice(None) if axis in kept else None for axis in whole)]
+    numbers = np.broadcast_to(numbers, tuple(sizes[axis] for axis in whole)).copy()
     return (np.rad2deg(numbers) if radian else numbers), radian
 
 
-def _alike(*angles):
-    """Angles in one shape, that of the one of most dimensions."""
-    shape = max((angle.shape for angle in angles), key=len)
-    return [np.broadcast_to(angle, shape) for angle in angles]
+def _alike(one, other, along):
+    """Two angles in one shape; `along`: the axis, of two, of the one that has only one."""
+    if one.ndim == other.ndim:
+        return one, other
+    shape = max(one.shape, other.shape, key=len)
+    return tuple(
+        angle if angle.ndim == 2 else np.broadcast_to(np.expand_dims(angle, 1 - along), shape).copy()
+        for angle in (one, other)
+    )
 
 
 def _sun_azimuth(name, data, radiance):
     azimuth, _ = _angle(name, data, "sun_azimuth", "time", radiance)
     own, _ = _angle(name, data, "sun_azimuth_instrument", "time", radiance)
+    azimuth, own = _alike(azimuth, own, along=0)
     finite = np.isfinite(own)
     if not np.any(finite):
         return azimuth, []
     notes = ["sun azimuth from sun_azimuth_instrument"]
     if not np.all(finite):
-        lacking = ", ".join(str(index) for index in np.flatnonzero(~finite))
+        lacking = ", ".join(str(index) for index in np.flatnonzero(~finite.reshape(len(finite), -1).all(axis=1)))
         notes = [f"{notes[0]}, except times {lacking}"]
     return np.where(finite, own, azimuth), notes
 
@@ -312,11 +320,12 @@ def write_netcdf(sky: Sky, path: Path) -> None:
     """
     import xarray
 
+    of_sun = ("time", "wavelength")[: sky.sun_zenith.ndim]
     variables = {
         "radiance": (_AXES, sky.radiance, {"units": RADIANCE, "long_name": "spectral radiance"}),
         "suspect": (_AXES, (~sky.usable).astype(np.int8), {"long_name": "1 where masked"}),
-        "sun_zenith": ("time", degrees(sky.sun_zenith), {"units": "degree"}),
-        "sun_azimuth": ("time", degrees(sky.sun_azimuth), {"units": "degree"}),
+        "sun_zenith": (of_sun, degrees(sky.sun_zenith), {"units": "degree"}),
+        "sun_azimuth": (of_sun, degrees(sky.sun_azimuth), {"units": "degree"}),
     }
     if sky.sigma is not None:
         variables["sigma"] = (_AXES, sky.sigma, {"units": RADIANCE, "long_name": "standard deviation of radiance"})

@@ -27,7 +27,8 @@ class Contents:
 
     **Arguments** arrays as in `Sky`, angles in degrees; views may be NaN where a time has no samples; `station` holds
     numbers by the names latitude, longitude, altitude_m, pressure_pa, fwhm_nm; `suspect` is True where masked;
-    `rows`: axis -> the row where each of its values first stands ("direction": in the shape of the views), for errors;
+    `rows`: axis -> the row where each of its values first stands, for errors ("direction": in the shape of the views,
+    "sun": of the sun's angles, if not that of "time");
     `angles_known`: the file said radians, so that no small angle is suspicious; `turned`: azimuths are in the
     instrument's own frame. `direct`, `direct_sigma`: irradiance of the sun's beam and its standard deviation,
     W m^-2 nm^-1, [time, wavelength].
@@ -71,7 +72,7 @@ def assemble(found: Contents) -> Sky:
     suspect = None if found.suspect is None else found.suspect[..., order]
     radiance, usable, masked = screen(radiance, sigma, suspect, zenith, found.saturation)
     direct, direct_sigma = _check_beam(found, order)
-    sun_zenith, sun_azimuth = _place_sun(found)
+    sun_zenith, sun_azimuth = _place_sun(found, order)
     found.notes += _small_angles(found, zenith, azimuth, sun_zenith, sun_azimuth)
     station = found.station
     try:
@@ -266,21 +267,25 @@ def _check_station(name, station):
             raise ValueError(f"{name}: `{key}`: expected {low:g} to {high:g} {unit}, found {value:g}")
 
 
-def _place_sun(found):
-    """Zenith and azimuth in degrees: the file's where finite, else from time and place."""
+def _place_sun(found, order):
+    """Zenith and azimuth in degrees, by increasing wavelength: the file's where finite, else from time and place."""
     zenith, azimuth = found.sun_zenith.astype(np.float64), found.sun_azimuth.astype(np.float64)
     for column, values, low, high in (
         ("sun_zenith", zenith, 0.0, 180.0),
         ("sun_azimuth", azimuth, -360.0, 720.0),
     ):
-        wrong = np.isinf(values) | (values < low) | (values > high)
-        if np.any(wrong):
-            index = int(np.argmax(wrong))
+        wrong = np.argwhere(np.isinf(values) | (values < low) | (values > high))
+        if wrong.size:
+            index = tuple(wrong[0])
+            place = _row(found, "sun", index) if "sun" in found.rows else _row(found, "time", index[0])
             raise ValueError(
-                f"{found.name}: {_row(found, 'time', index)}, column `{column}`: "
-                f"expected degrees in [{low:g}, {high:g}], found {values[index]:g}"
+                f"{found.name}: {place}, column `{column}`: expected degrees in [{low:g}, {high:g}], "
+                f"found {values[index]:g}"
             )
-    without = ~(np.isfinite(zenith) & np.isfinite(azimuth))
+    if zenith.ndim == 2:
+        zenith, azimuth = _without_holes(zenith[:, order]), _without_holes(azimuth[:, order], turns=True)
+    middle = (zenith, azimuth) if zenith.ndim == 1 else (zenith.mean(axis=1), _mean_azimuth(azimuth))
+    without = ~(np.isfinite(middle[0]) & np.isfinite(middle[1]))
     station = found.station
     if np.any(without):
         lacks = [key for key in ("latitude", "longitude") if key not in station]
@@ -299,7 +304,8 @@ def _place_sun(found):
             station.get("pressure_pa"),
         )
         for values, filled in zip((zenith, azimuth), computed, strict=True):
-            values[without] = np.where(np.isfinite(values[without]), values[without], np.rad2deg(filled))
+            filled = np.rad2deg(filled).reshape(-1, *[1] * (values.ndim - 1))
+            values[without] = np.where(np.isfinite(values[without]), values[without], filled)
         found.notes.append(
             f"sun position of {int(np.sum(without))} of {len(without)} times computed (pvlib, "
             "apparent zenith with refraction)"
@@ -307,6 +313,24 @@ def _place_sun(found):
     stated = ~without & ~np.isnat(found.time)
     if np.any(stated) and "latitude" in station and "longitude" in station:
         place = float(station["latitude"]), float(station["longitude"])
-        sentence = sun_agreement(zenith[stated], azimuth[stated], found.time[stated], *place, found.turned)
+        sentence = sun_agreement(middle[0][stated], middle[1][stated], found.time[stated], *place, found.turned)
         found.notes += [sentence] if sentence else []
     return zenith, azimuth % 360.0
+
+
+def _without_holes(angles, turns=False):
+    """The sun's angles of each time, `[time, wavelength]`, with their mean where a wavelength has none."""
+    known = np.isfinite(angles)
+    if turns:
+        mean = _mean_azimuth(angles)
+    else:
+        mean = np.where(known, angles, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    return np.where(known | ~known.any(axis=1, keepdims=True), angles, mean[:, None])
+
+
+def _mean_azimuth(angles):
+    """Of those of each time that are known, degrees, also on both sides of north; NaN where none is."""
+    known = np.isfinite(angles)
+    turned = np.exp(1j * np.deg2rad(np.where(known, angles, 0.0)))
+    mean = np.rad2deg(np.angle(np.where(known, turned, 0.0).sum(axis=1))) % 360.0
+    return np.where(known.any(axis=1), mean, np.nan)

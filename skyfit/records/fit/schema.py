@@ -33,7 +33,7 @@ r"""The form of a fit's JSON record, and the check that a file has it.
       scale, sigma        [time][wavelength], of one row where all times share it
     times                 one entry a time
       time                ISO 8601 in UTC, or null
-      sun_zenith_deg, sun_azimuth_deg
+      sun_zenith_deg, sun_azimuth_deg                   the mean, where they differ between wavelengths
       parameters          those of this time alone, as in shared; sigma holds model_sigma, the model's error
       correlation         [parameter][parameter] of all that are free
       haze                name: {value, sigma, unit} of what skyfit.haze_optics says follows from the parameters

@@ -93,14 +93,15 @@ def _parameters(fit: Fit, t: int, places: list[int]) -> dict:
 
 def _time_record(fit: Fit, t: int, optics: dict[str, Derived]) -> dict:
     sky = fit.sky
+    sun = degrees(np.array(sky.sun_at(t)))
     masked = dict(sky.at(t).masked)
     left_out = int(np.sum(sky.usable[t] & ~fit.used[t]))
     if left_out:
         masked["not modelled"] = left_out
     return {
         "time": _iso(sky.time[t]),
-        "sun_zenith_deg": degrees(sky.sun_zenith)[t],
-        "sun_azimuth_deg": degrees(sky.sun_azimuth)[t],
+        "sun_zenith_deg": sun[0],
+        "sun_azimuth_deg": sun[1],
         "parameters": _parameters(fit, t, [p for p, name in enumerate(fit.free) if name not in fit.shared]),
         "correlation": fit.correlation[t],
         "haze": {n: {"value": d.value[t], "sigma": d.sigma[t], "unit": d.unit} for n, d in optics.items()},
