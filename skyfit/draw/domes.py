@@ -56,7 +56,7 @@ def plot(fit: Fit, path: str | os.PathLike) -> None:
                 weight="bold")  # fmt: skip
     figure.text(0.012, 1.0 - 0.43 / tall, _settings(fit), fontsize=8.5, va="center", color="#555555")
     draw_shared(figure, fit, 0.012 * _WIDE, tall - heading - 0.05)
-    ends = np.unique(fit.sky.wavelength_nm[band][[0, -1]])
+    ends = np.unique([fit.sky.wavelength_nm[band].min(), fit.sky.wavelength_nm[band].max()])
     ends = "-".join(f"{end:g}" for end in ends)
     caption = (
         f"Domes: mean radiance of the fitted samples at {ends} nm, as on a map: zenith in the "
@@ -270,7 +270,8 @@ def _draw_spectra(axes, fit: Fit, t: int) -> None:
     line = {"color": _MODEL, "marker": ".", "markersize": 1.0 if many else 2.5, "linewidth": 1.1}
     for name, values, style in (("measured", fit.sky.radiance[t], dots), ("model", fit.model[t], line)):
         mean = np.where(used.any(axis=0), np.where(used, values, 0.0).sum(axis=0) / count, np.nan)
-        axes.plot(wavelength, factor * mean, label=name, **style)
+        order = np.argsort(wavelength)
+        axes.plot(wavelength[order], factor * mean[order], label=name, **style)
         peak = max(peak, factor * float(np.nanmax(mean)))
     axes.set_ylim(0.0, 1.15 * max(peak, 1e-30))
     axes.tick_params(labelsize=7.5, length=2.5, width=0.6)

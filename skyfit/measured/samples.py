@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..atmosphere import pressure_at_altitude, SEA_LEVEL_PRESSURE
+from .response import LineShape, Response, Seen
 
 
 # what a station can be: in the troposphere, whose pressure `pressure_at_altitude` knows; the narrowest line shape
@@ -32,12 +33,13 @@ class Sky:
     - `usable`: bool, same shape; False where missing, negative, saturated or suspect
     - `view_zenith`, `view_azimuth`: rad, azimuth clockwise from north; given as [direction], the same at all times, or
       as [time, direction], as which they are held; both NaN past the end of a shorter scan
-    - `wavelength_nm`: nm, [wavelength], increasing
+    - `wavelength_nm`: nm, [wavelength], increasing; with a `response` what its channels are called, in their order
     - `sun_zenith`, `sun_azimuth`: rad, in the frame of `view_azimuth`, [time], or [time, wavelength] where the sun has
       moved between the wavelengths (a filter wheel takes its time); `sun_at` gives the mean
     - `time`: datetime64, UTC, [time]; NaT where unknown
     - `latitude_deg`, `longitude_deg`, `altitude_m`, `pressure_pa`: the station, NaN if unknown
     - `fwhm_nm`: full width at half maximum of the instrument's Gaussian line shape, nm, or NaN
+    - `response`: the channels that stand in the place of wavelengths, and `radiance` is what they read; or None
     - `direct_irradiance`, `direct_sigma`: of the sun's beam on a plane normal to it, W m^-2 nm^-1,
       [time, wavelength], NaN where missing; None where it was not measured
     - `masked`: reason -> count of samples that are not usable for it
@@ -64,6 +66,7 @@ class Sky:
     altitude_m: float = float("nan")
     pressure_pa: float = float("nan")
     fwhm_nm: float = float("nan")
+    response: Response | None = None
     direct_irradiance: np.ndarray | None = None
     direct_sigma: np.ndarray | None = None
     masked: dict[str, int] = field(default_factory=dict)
@@ -167,9 +170,11 @@ class Sky:
             if not np.all((np.abs(value) < _LARGEST_AZIMUTH) | nowhere.get(name, False)):
                 raise ValueError(f"`{name}` must be finite and in rad, got {_extremes(value)}")
         wavelength = self.wavelength_nm
-        if not (np.all(np.isfinite(wavelength)) and np.all(np.diff(wavelength) > 0.0)):
+        if self.response is not None:
+            self._check_response()
+        elif not (np.all(np.isfinite(wavelength)) and np.all(np.diff(wavelength) > 0.0)):
             raise ValueError(f"`wavelength_nm` must increase, got {_extremes(wavelength)}")
-        if wavelength[0] <= 0.0 or wavelength[-1] < 10.0:
+        if wavelength.min() <= 0.0 or wavelength.max() < 10.0:
             raise ValueError(f"`wavelength_nm` must be in nm, got {_extremes(wavelength)}")
         for name, (low, high, unit) in STATION_RANGES.items():
             value = getattr(self, name)
@@ -186,6 +191,45 @@ class Sky:
             sigma = self.sigma[self.usable]
             if not np.all((sigma > 0.0) & np.isfinite(sigma)):
                 raise ValueError("`usable` must be False where `sigma` is not positive and finite")
+
+    def _check_response(self):
+        wavelength, channels = self.wavelength_nm, len(self.response.weight) if self.response else 0
+        if channels != len(wavelength):
+            raise ValueError(
+                f"`response` must have a channel for each of the sky's {len(wavelength)} wavelengths, got {channels}"
+            )
+        if not np.all(np.isfinite(wavelength)) or len(np.unique(wavelength)) < channels:
+            raise ValueError(f"`wavelength_nm` must differ between channels, got {_extremes(wavelength)}")
+        if np.isfinite(self.fwhm_nm):
+            raise ValueError(
+                f"`fwhm_nm` must be NaN with a `response`, which says how the instrument sees, got {self.fwhm_nm:g}"
+            )
+
+    @property
+    def seen(self) -> Seen:
+        """How the instrument sees a spectrum: by the channels of its response, or each wavelength by a line shape."""
+        return LineShape(self.fwhm_nm) if self.response is None else self.response
+
+    def with_response(self, response: Response | None) -> "Sky":
+        """The sky with its samples as readings of a response: the rule by which `invert` and others take theirs.
+
+        **Arguments** `response`: None for the sky's own, which stands; given to a sky without one, its channels are
+        put in the order of the sky's wavelengths by their mean wavelengths.
+
+        **Valid** another one than the sky's own, another number of channels, or a line shape besides: `ValueError`.
+        """
+        if response is None:
+            return self
+        if self.response is None:
+            if len(response.weight) == len(self.wavelength_nm):
+                response = response.take(np.argsort(response.centre_nm, kind="stable"))
+            return replace(self, response=response)
+        if not response.same_as(self.response):
+            raise ValueError(
+                "`response` must be left out or the sky's own, whose channels are "
+                f"{', '.join(self.response.names)}, got others: {', '.join(response.names)}"
+            )
+        return self
 
     @property
     def one_pattern(self) -> bool:
@@ -251,10 +295,12 @@ class Sky:
         fully correlated neighbours, the cautious choice. A sun that moves between wavelengths is
         interpolated too. `masked` is counted anew.
 
-        **Valid** inside the range; outside it, `ValueError`.
+        **Valid** inside the range; outside it, `ValueError`. Of a sky with a `response` only channels, in any order.
         """
         wanted = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
         own = self.wavelength_nm
+        if self.response is not None:
+            return self._channels(self.response, wanted)
         if wanted.ndim != 1 or not np.all((wanted >= own[0]) & (wanted <= own[-1])):
             raise ValueError(f"`wavelength_nm` must lie in [{own[0]:g}, {own[-1]:g}] nm, got {_extremes(wanted)}")
         below = np.searchsorted(own, wanted, side="right") - 1
@@ -286,6 +332,24 @@ class Sky:
             direct_sigma=None if self.direct_sigma is None else interpolate(self.direct_sigma),
             masked=_recount(radiance, usable, self.view_zenith),
         )
+
+    def _channels(self, response: Response, wanted):
+        own = self.wavelength_nm
+        places = [int(np.argmin(np.abs(own - one))) for one in wanted.ravel()]
+        if wanted.ndim != 1 or not np.array_equal(own[places], wanted) or len(set(places)) < len(places):
+            raise ValueError(
+                f"`wavelength_nm` must name channels once each, of {', '.join(f'{w:g}' for w in own)} nm, got "
+                f"{_extremes(wanted)}"
+            )
+        parts = {
+            name: value if value is None else value[..., places]
+            for name in ("radiance", "sigma", "usable", "wavelength_nm", "direct_irradiance", "direct_sigma")
+            for value in (getattr(self, name),)
+        }
+        if self.sun_zenith.ndim > 1:
+            parts |= {"sun_zenith": self.sun_zenith[:, places], "sun_azimuth": self.sun_azimuth[:, places]}
+        masked = _recount(parts["radiance"], parts["usable"], self.view_zenith)
+        return replace(self, **parts, response=response.take(places), masked=masked)
 
 
 def _recount(radiance, usable, view_zenith):

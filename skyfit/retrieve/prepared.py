@@ -94,9 +94,10 @@ def prepared(
     **Errors:** `ValueError` for unknown or contradicting names, settings out of range, a sky without a usable sample.
     """
     free, shared = tuple(free), tuple(shared)
+    sky = sky.with_response(response)
     measurement = Measurement() if measurement is None else measurement
     # colours of a camera are told less by polarisation than by what its channels really are
-    solver = OrdersOfScattering.normal(polarised=response is None) if solver is None else solver
+    solver = OrdersOfScattering.normal(polarised=sky.response is None) if solver is None else solver
     pressure, assumed = station_pressure(sky)
     start = start_model(free, pressure) if start is None else start
     check_free(free, start)
@@ -105,7 +106,7 @@ def prepared(
     low, high, unit = STATION_RANGES["fwhm_nm"]
     if fwhm_nm is not None and np.isfinite(fwhm_nm) and not low <= fwhm_nm <= high:
         raise ValueError(f"`fwhm_nm` must be {low:g} to {high:g} {unit}, got {fwhm_nm:g}")
-    sampling = Sampling(sky, fwhm_nm, response, measurement.field_of_view)
+    sampling = Sampling(sky, fwhm_nm, measurement.field_of_view)
     if assumed:
         sampling.notes.append(assumed)
     chosen = sampling.chosen()

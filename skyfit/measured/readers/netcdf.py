@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..response import Response
 from ..samples import Sky
 from ..units import IRRADIANCE, irradiance_factor, is_nanometre, is_radian, RADIANCE, radiance_factor
 from .screening import assemble, Contents
@@ -29,7 +30,9 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
       variables `radiance`, optionally `sigma`, `suspect` (1 = masked), `direct_normal_irradiance` [time, wavelength]
       and `direct_normal_irradiance_sigma`; coordinates `view_zenith`, `view_azimuth` [direction] or [time, direction],
       both NaN past the end of a shorter scan, `wavelength`; `sun_zenith` and `sun_azimuth` [time] or
-      [time, wavelength], or latitude, longitude and time
+      [time, wavelength], or latitude, longitude and time. Channels of a camera or photometer: `channel` in place of
+      the dimension wavelength, `response` [channel, spectrum], `spectrum` (nm), optionally `channel` (names), and
+      `wavelength` [channel], what they are called; `radiance` is then in any unit, that of the response
     - `station`: numbers that stand instead of the file's own, by name
 
     **Returns** a `Sky`. `sun_azimuth_instrument`, where finite, stands before `sun_azimuth`.
@@ -39,13 +42,14 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
     """
     data = load_dataset(path)
     name = path.name
+    response, data = _response(name, data)
     _require(name, data)
-    radiance, factor, notes = _radiance(name, data)
+    radiance, factor, notes = _radiance(name, data, response)
     axes = radiance.dims
     shape = radiance.shape
     sigma = None
     if "sigma" in data:
-        units = data["sigma"].attrs.get("units")
+        units = None if response is not None else data["sigma"].attrs.get("units")
         sigma = _spread(name, data, "sigma", axes, radiance)
         sigma = sigma * (factor if units is None else _factor(name, "sigma", units))
     suspect = None
@@ -81,6 +85,7 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
             notes=_own_notes(data) + notes,
             angles_known=known,
             turned=bool(note),
+            response=response,
         )
     )
 
@@ -122,7 +127,28 @@ def _require(name, data):
             raise ValueError(f"{name}: expected variable `{key}`, found {', '.join(map(str, data.variables))}")
 
 
-def _radiance(name, data):
+def _response(name, data):
+    """The channels of a file, None without any, and the data with wavelength, what they are called, as their axis."""
+    if "response" not in data:
+        return None, data
+    variable = data["response"]
+    lacking = [key for key in ("spectrum", "wavelength") if key not in data]
+    if lacking or set(variable.dims) != {"channel", "spectrum"} or data["wavelength"].dims != ("channel",):
+        raise ValueError(
+            f"{name}: variable `response`: expected dimensions channel, spectrum, with `spectrum` and `wavelength` "
+            f"[channel] in nm, found {', '.join(map(str, variable.dims))}{''.join(f', no `{key}`' for key in lacking)}"
+        )
+    weight = _numbers(name, variable).transpose([variable.dims.index(axis) for axis in ("channel", "spectrum")])
+    names = tuple(map(str, data["channel"].values)) if "channel" in data.variables else ()
+    try:
+        response = Response(_numbers(name, data["spectrum"]), weight, names)
+    except ValueError as error:
+        raise ValueError(f"{name}: variable `response`: {error}") from None
+    data = data.drop_vars(["response", "spectrum", "channel"], errors="ignore")
+    return response, data.swap_dims(channel="wavelength")
+
+
+def _radiance(name, data, response):
     radiance = data["radiance"]
     extra = [axis for axis in radiance.dims if axis not in _AXES]
     if extra or "direction" not in radiance.dims or "wavelength" not in radiance.dims:
@@ -133,7 +159,7 @@ def _radiance(name, data):
     if 0 in radiance.shape:
         raise ValueError(f"{name}: variable `radiance`: expected samples, found {radiance.shape}")
     units = radiance.attrs.get("units")
-    factor = _factor(name, "radiance", units)
+    factor = 1.0 if response is not None else _factor(name, "radiance", units)
     notes = [] if factor == 1.0 else [f"radiance converted from {units} to {RADIANCE}"]
     if "time" not in radiance.dims:
         radiance = radiance.expand_dims("time")
@@ -320,35 +346,51 @@ def write_netcdf(sky: Sky, path: Path) -> None:
     """
     import xarray
 
-    of_sun = ("time", "wavelength")[: sky.sun_zenith.ndim]
+    whole = axes(sky)
+    of_sun = whole[::2][: sky.sun_zenith.ndim]
+    light = (
+        {"units": RADIANCE, "long_name": "spectral radiance"}
+        if sky.response is None
+        else {"long_name": "reading of the channel, the sum of response times spectral radiance"}
+    )
     variables = {
-        "radiance": (_AXES, sky.radiance, {"units": RADIANCE, "long_name": "spectral radiance"}),
-        "suspect": (_AXES, (~sky.usable).astype(np.int8), {"long_name": "1 where masked"}),
+        "radiance": (whole, sky.radiance, light),
+        "suspect": (whole, (~sky.usable).astype(np.int8), {"long_name": "1 where masked"}),
         "sun_zenith": (of_sun, degrees(sky.sun_zenith), {"units": "degree"}),
         "sun_azimuth": (of_sun, degrees(sky.sun_azimuth), {"units": "degree"}),
     }
     if sky.sigma is not None:
-        variables["sigma"] = (_AXES, sky.sigma, {"units": RADIANCE, "long_name": "standard deviation of radiance"})
+        variables["sigma"] = (whole, sky.sigma, light | {"long_name": "standard deviation of radiance"})
     if sky.direct_irradiance is not None:
         about = {"units": IRRADIANCE, "long_name": "irradiance of the sun's beam on a plane normal to it"}
-        variables[_BEAM] = (("time", "wavelength"), sky.direct_irradiance, about)
+        variables[_BEAM] = (whole[::2], sky.direct_irradiance, about)
     if sky.direct_sigma is not None:
         about = {"units": IRRADIANCE, "long_name": f"standard deviation of {_BEAM}"}
-        variables[f"{_BEAM}_sigma"] = (("time", "wavelength"), sky.direct_sigma, about)
+        variables[f"{_BEAM}_sigma"] = (whole[::2], sky.direct_sigma, about)
     clockwise = {"units": "degree", "comment": "clockwise from north"}
     views = [degrees(view[0] if sky.one_pattern else view) for view in (sky.view_zenith, sky.view_azimuth)]
     of_views = ("time", "direction")[-views[0].ndim :]
     coordinates = {
-        "wavelength": ("wavelength", sky.wavelength_nm, {"units": "nm"}),
+        "wavelength": (whole[2], sky.wavelength_nm, {"units": "nm"}),
         "view_zenith": (of_views, views[0], {"units": "degree"}),
         "view_azimuth": (of_views, views[1], clockwise),
         "time": ("time", sky.time),
     }
+    if sky.response is not None:
+        about = {"long_name": f"weights of spectral radiance in {RADIANCE}, widths of the spectrum's steps included"}
+        variables["response"] = (("channel", "spectrum"), sky.response.weight, about)
+        coordinates["spectrum"] = ("spectrum", sky.response.wavelength_nm, {"units": "nm"})
+        coordinates["channel"] = ("channel", np.array(sky.response.names, object))
     data = xarray.Dataset(variables, coordinates, attributes(sky))
     if sky.notes:
         data.attrs["notes"] = "\n".join(sky.notes)
     encoding = {name: {"zlib": True} for name in ("radiance", "suspect")}
     data.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+
+
+def axes(sky: Sky) -> tuple[str, str, str]:
+    """The dimensions of a sky's samples in a file."""
+    return _AXES if sky.response is None else (*_AXES[:2], "channel")
 
 
 def degrees(radians: np.ndarray) -> np.ndarray:

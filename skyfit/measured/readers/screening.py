@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..quality.sun_agreement import sun_agreement
+from ..response import Response
 from ..samples import Sky, STATION_RANGES
 from ..solar_position import solar_position
 
@@ -31,7 +32,7 @@ class Contents:
     "sun": of the sun's angles, if not that of "time");
     `angles_known`: the file said radians, so that no small angle is suspicious; `turned`: azimuths are in the
     instrument's own frame. `direct`, `direct_sigma`: irradiance of the sun's beam and its standard deviation,
-    W m^-2 nm^-1, [time, wavelength].
+    W m^-2 nm^-1, [time, wavelength]. `response`: of the channels that stand in the place of wavelengths.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Contents:
     notes: list[str] = field(default_factory=list)
     angles_known: bool = False
     turned: bool = False
+    response: Response | None = None
     rows: dict[str, list] = field(default_factory=dict)
 
 
@@ -70,7 +72,7 @@ def assemble(found: Contents) -> Sky:
     radiance = found.radiance[..., order]
     sigma = None if found.sigma is None else found.sigma[..., order]
     suspect = None if found.suspect is None else found.suspect[..., order]
-    radiance, usable, masked = screen(radiance, sigma, suspect, zenith, found.saturation)
+    radiance, usable, masked = screen(radiance, sigma, suspect, zenith, found.saturation, _signed(found.response))
     direct, direct_sigma = _check_beam(found, order)
     sun_zenith, sun_azimuth = _place_sun(found, order)
     found.notes += _small_angles(found, zenith, azimuth, sun_zenith, sun_azimuth)
@@ -91,6 +93,7 @@ def assemble(found: Contents) -> Sky:
             altitude_m=station.get("altitude_m", np.nan),
             pressure_pa=station.get("pressure_pa", np.nan),
             fwhm_nm=station.get("fwhm_nm", np.nan),
+            response=found.response,
             direct_irradiance=direct,
             direct_sigma=direct_sigma,
             masked=masked,
@@ -108,7 +111,7 @@ def _check_beam(found, order):
         return None, None
     direct = np.array(found.direct[:, order], dtype=np.float64)
     beam = np.isfinite(direct) & (direct >= 0.0) & (direct < _FILL)
-    if np.any(beam & (direct > _BRIGHTEST_BEAM)):
+    if found.response is None and np.any(beam & (direct > _BRIGHTEST_BEAM)):
         raise ValueError(
             f"{found.name}: variable `direct_normal_irradiance`: expected {_BRIGHTEST_BEAM:g} W m-2 nm-1 at most, "
             f"found {np.max(direct[beam]):g}; is this mW, or per um?"
@@ -119,17 +122,23 @@ def _check_beam(found, order):
     return np.where(beam, direct, np.nan), None if found.direct_sigma is None else found.direct_sigma[:, order]
 
 
+def _signed(response):
+    """Whether the channels may read less than nothing: red, green and blue of a colour that no screen shows."""
+    return response is not None and bool(np.any(response.weight < 0.0))
+
+
 def screen(
     radiance: np.ndarray,
     sigma: np.ndarray | None,
     suspect: np.ndarray | None,
     view_zenith_deg: np.ndarray,
     saturation: float | None = None,
+    signed: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, dict[str, int]]:
     """Mask the samples that must not be used, and count them by the first reason that holds.
 
     **Arguments** arrays [time, direction, wavelength]; `view_zenith_deg` [direction] or [time, direction];
-    `saturation`: the radiance at which the detector saturates, if known.
+    `saturation`: the radiance at which the detector saturates, if known; `signed`: less than 0 is no error.
 
     **Returns** radiance with NaN where not finite, `usable`, and the counts.
     """
@@ -139,7 +148,7 @@ def screen(
         reasons = {
             "missing": np.isnan(radiance) | (np.isfinite(radiance) & (radiance > _FILL)),
             "infinite": np.isinf(radiance),
-            "negative": radiance < 0.0,
+            "negative": (radiance < 0.0) & (not signed),
             "below horizon": below,
             "saturated": _saturated(radiance, saturation),
         }
@@ -238,10 +247,12 @@ def _check_wavelengths(found):
         raise ValueError(f"{start} nm, found none past {np.max(wavelength):g}; are these {unit}?")
     if np.min(wavelength) > _LONGEST_NM:
         raise ValueError(f"{start} nm, found none below {np.min(wavelength):g}; are these angstrom?")
-    order = np.argsort(wavelength, kind="stable")
-    same = np.flatnonzero(np.diff(wavelength[order]) == 0.0)
+    # channels stand in the order of their response
+    order = np.argsort(wavelength, kind="stable") if found.response is None else np.arange(len(wavelength))
+    by_size = np.argsort(wavelength, kind="stable")
+    same = np.flatnonzero(np.diff(wavelength[by_size]) == 0.0)
     if same.size:
-        first, second = order[same[0]], order[same[0] + 1]
+        first, second = by_size[same[0]], by_size[same[0] + 1]
         raise ValueError(f"{start} different values, found {wavelength[first]:g} nm at positions {first} and {second}")
     return wavelength[order], order
 

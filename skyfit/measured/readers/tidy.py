@@ -369,6 +369,8 @@ def write_tidy(sky: Sky, path: Path) -> None:
 
     **Valid** times that are known and differ, unless there is one; directions that differ.
     """
+    if sky.response is not None:
+        raise ValueError("a CSV has no place for the response of channels: write NetCDF")
     timed = not (len(sky.time) == 1 and np.isnat(sky.time[0]))
     if timed and (np.any(np.isnat(sky.time)) or len(np.unique(sky.time)) < len(sky.time)):
         raise ValueError("a CSV tells times apart by `time`: expected all to be known and to differ; write NetCDF")

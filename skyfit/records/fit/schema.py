@@ -10,7 +10,7 @@ r"""The form of a fit's JSON record, and the check that a file has it.
     geometry              "flat" or "spherical", that of the solver
     instrument
       fwhm_nm             Gaussian line shape, null for none
-      response            null, or wavelength_nm and weight [channel][wavelength]: the samples are channels
+      response            null, or names, wavelength_nm and weight [channel][wavelength]: the samples are channels
     station               latitude_deg, longitude_deg, altitude_m, pressure_pa; null where unknown
     atmosphere            what the parameters do not tell
       rayleigh, aerosol, ozone                          class of the constituent, null where absent

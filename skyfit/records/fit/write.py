@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from ...measured import atomic, Sky, write_sky
-from ...measured.readers.netcdf import degrees, write_netcdf
+from ...measured.readers.netcdf import axes, degrees, write_netcdf
 from ...measured.units import RADIANCE
 from ...measured.writing import skyfit_version
 from ...retrieve import Derived, Fit, haze_optics, PARAMETERS, values_of
@@ -64,7 +64,9 @@ def record_of(fit: Fit) -> dict:
 
 def _response(fit: Fit) -> dict | None:
     response = fit.response
-    return None if response is None else {"wavelength_nm": response.wavelength_nm, "weight": response.weight}
+    if response is None:
+        return None
+    return {"names": response.names, "wavelength_nm": response.wavelength_nm, "weight": response.weight}
 
 
 def _scale_unit(name: str) -> str:
@@ -208,7 +210,7 @@ def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) ->
     if radiance.shape != sky.radiance.shape:
         raise ValueError(f"`radiance` must have the shape {sky.radiance.shape} of `sky`, got {radiance.shape}")
     seen = (sky.view_zenith <= 0.5 * np.pi)[..., None]
-    usable = np.isfinite(radiance) & (radiance >= 0.0) & seen
+    usable = np.isfinite(radiance) & seen & ((radiance >= 0.0) | (sky.response is not None))
     notes = (f"predicted by skyfit for the samples of {sky.source}",)
     predicted = {"radiance": radiance, "sigma": None, "usable": usable, "direct_irradiance": None, "direct_sigma": None}
     write_sky(replace(sky, **predicted, masked={}, notes=notes), path)
@@ -217,11 +219,12 @@ def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) ->
 def _write_field(fit: Fit, part: Path) -> None:
     import xarray
 
-    everywhere, fitted = ("time", "direction", "wavelength"), ("time", "direction", "fitted_wavelength")
+    everywhere, fitted = axes(fit.sky), ("time", "direction", "fitted_wavelength")
     residual = np.where(fit.used, fit.residual, np.nan)
+    unit = {"units": RADIANCE} if fit.sky.response is None else {}
     variables: dict[str, tuple] = {
-        "model": (everywhere, fit.model, {"units": RADIANCE, "long_name": "fitted spectral radiance"}),
-        "residual": (everywhere, residual, {"units": RADIANCE, "long_name": "model minus radiance where it was used"}),
+        "model": (everywhere, fit.model, unit | {"long_name": "fitted spectral radiance"}),
+        "residual": (everywhere, residual, unit | {"long_name": "model minus radiance where it was used"}),
         "weight": (fitted, fit.weight, {"units": "1", "long_name": "trust of the loss in the sample"}),
     }
     coordinates = {"fitted_wavelength": ("fitted_wavelength", fit.fitted_nm, {"units": "nm"})}
