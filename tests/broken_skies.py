@@ -118,7 +118,7 @@ def twice(values, first=0, second=1):
     return doubled
 
 
-TIMED = ("time", "radiance", "sigma", "sun_zenith", "sun_azimuth")
+TIMED = ("time", "radiance", "sigma", "view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth")
 # h c, J m: what a photon carries, times its wavelength
 PLANCK_LIGHT = 6.62607015e-34 * 299792458.0
 SKIES = {

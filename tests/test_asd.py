@@ -29,8 +29,8 @@ def test_an_asd_folder(tmp_path):
     folder = write_scan(tmp_path / "scan")
     sky = read(folder, **PLACE, utc_offset=-4, altitude=325, fwhm_nm=6)
     assert sky.time.tolist() == np.array(["2013-05-27T14:00"], "datetime64[ns]").tolist()
-    np.testing.assert_allclose(np.rad2deg(sky.view_azimuth), [0.0, 270.0, 45.0])
-    np.testing.assert_allclose(np.rad2deg(sky.view_zenith), [77.5, 77.5, 0.0], atol=1e-12)
+    np.testing.assert_allclose(np.rad2deg(sky.view_azimuth[0]), [0.0, 270.0, 45.0])
+    np.testing.assert_allclose(np.rad2deg(sky.view_zenith[0]), [77.5, 77.5, 0.0], atol=1e-12)
     np.testing.assert_allclose(sky.radiance[0, 1], [1.5, 1.501, 1.502])
     assert (sky.altitude_m, sky.fwhm_nm, sky.source) == (325.0, 6.0, "scan")
     zenith, azimuth = np.rad2deg(solar_position(sky.time, altitude=325.0, **PLACE))
@@ -84,10 +84,10 @@ def test_the_measured_day_and_the_scan_it_came_from():
     chosen = scan.select(wavelength_nm=day.wavelength_nm)
     # Whatever the order of directions: each view of one is matched to the nearest of the other.
     places = []
-    for zenith, azimuth in zip(second.view_zenith, second.view_azimuth, strict=True):
+    for zenith, azimuth in zip(second.view_zenith[0], second.view_azimuth[0], strict=True):
         apart = np.hypot(
-            chosen.view_zenith - zenith,
-            np.sin(zenith) * np.sin(0.5 * (chosen.view_azimuth - azimuth)),
+            chosen.view_zenith[0] - zenith,
+            np.sin(zenith) * np.sin(0.5 * (chosen.view_azimuth[0] - azimuth)),
         )
         places.append(int(np.argmin(apart)))
         assert apart[places[-1]] < 1e-6

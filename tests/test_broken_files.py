@@ -86,7 +86,7 @@ def test_a_table_that_is_not_text(tmp_path):
 
 
 def test_a_table_whose_samples_share_no_grid(tmp_path):
-    rows = "".join(f"{z / 20},{z / 10},{400 + z / 7},0.1,30,40\n" for z in range(1, 1600))
+    rows = "".join(f"{z / 20},{z / 10},{400 + z / 7},0.1,30,40\n" for z in range(1, 6000))
     header = "time," + HEADER
     days = [f"2013-05-{1 + i % 31:02},{row}" for i, row in enumerate(rows.splitlines(True))]
     (tmp_path / "sky.csv").write_text(f"{header}\n{''.join(days)}")

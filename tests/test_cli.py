@@ -162,9 +162,9 @@ def test_predict_reproduces_the_sky(chain, skyfit_command, name):
     done = skyfit_command("predict", "fit/fit.json", "--at", "sky.nc", "--out", name, cwd=folder)
     sky, predicted = skyfit.read(folder / "sky.nc"), skyfit.read(folder / name)
     assert "1 x 343 x 14" in done.stdout and narrow(done.stdout)
-    order = np.lexsort((predicted.view_azimuth, predicted.view_zenith))
-    same = np.lexsort((sky.view_azimuth, sky.view_zenith))
-    np.testing.assert_allclose(predicted.view_zenith[order], sky.view_zenith[same], atol=1e-6)
+    order = np.lexsort((predicted.view_azimuth[0], predicted.view_zenith[0]))
+    same = np.lexsort((sky.view_azimuth[0], sky.view_zenith[0]))
+    np.testing.assert_allclose(predicted.view_zenith[0, order], sky.view_zenith[0, same], atol=1e-6)
     np.testing.assert_allclose(predicted.radiance[:, order], sky.radiance[:, same], rtol=1e-3)
     if name.endswith(".nc"):
         with xarray.open_dataset(folder / name) as fields:
@@ -182,8 +182,8 @@ def test_directions_of_a_file_simulated_to_csv_and_predicted_there(chain, skyfit
     )  # fmt: skip
     assert "3 directions, 2 wavelengths" in done.stdout
     few = skyfit.read(folder / "few.csv")
-    np.testing.assert_allclose(np.degrees(few.view_zenith), [0.0, 40.0, 70.0], atol=1e-6)
-    np.testing.assert_allclose(np.degrees(few.view_azimuth), [0.0, 170.0, 20.0], atol=1e-6)
+    np.testing.assert_allclose(np.degrees(few.view_zenith[0]), [0.0, 40.0, 70.0], atol=1e-6)
+    np.testing.assert_allclose(np.degrees(few.view_azimuth[0]), [0.0, 170.0, 20.0], atol=1e-6)
     np.testing.assert_array_equal(few.wavelength_nm, [450.0, 550.0])
     skyfit_command("predict", "fit/fit.json", "--at", "few.csv", "--out", "there.nc", cwd=folder)
     np.testing.assert_allclose(skyfit.read(folder / "there.nc").radiance, few.radiance, rtol=2e-3)
@@ -211,7 +211,7 @@ def two_skies(path):
         np.array(["2025-06-01T10:00", "2025-06-01T11:00"], "datetime64[ns]"), altitude_m=0.0,
     )  # fmt: skip
     skyfit.write_sky(sky, path)
-    return np.degrees([sky.view_zenith[7], sky.view_azimuth[7]])
+    return np.degrees([sky.view_zenith[0, 7], sky.view_azimuth[0, 7]])
 
 
 def test_a_file_of_two_times_shares_what_is_slow(skyfit_command, tmp_path):
@@ -629,7 +629,7 @@ def test_refit_writes_coefficients_and_a_picture(skyfit_command, tmp_path):
         cwd=tmp_path,
     )  # fmt: skip
     model, sky = skyfit.read_coefficients(tmp_path / "r" / "coefficients.json"), skyfit.read(tmp_path / "s.nc")
-    view = skyfit.Directions(sky.view_zenith, sky.view_azimuth)
+    view = skyfit.Directions(sky.view_zenith[0], sky.view_azimuth[0])
     scene = skyfit.Scene.from_degrees(60.0, view, sky.wavelength_nm, 180.0)
     np.testing.assert_allclose(sky.radiance[0], model.radiance(3.0, scene), rtol=1e-3, atol=1e-7)
 

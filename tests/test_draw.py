@@ -71,7 +71,7 @@ def test_a_page_holds_one_to_eight_times(fit, tmp_path, count):
     def repeat(values):
         return values[order] if isinstance(values, np.ndarray) else tuple(values[i] for i in order)
 
-    names = ("radiance", "usable", "sun_zenith", "sun_azimuth", "time")
+    names = ("radiance", "usable", "view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth", "time")
     sky = replace(fit.sky, **{name: repeat(getattr(fit.sky, name)) for name in names})
     names = (
         "values", "sigma", "covariance", "model_sigma", "at_bound", "determined", "model", "used", "rmse",
@@ -88,7 +88,7 @@ def test_a_poor_fit_is_drawn(fit, tmp_path):
         fit.sky,
         wavelength_nm=np.array([310.0, 320.0, 330.0, 340.0]),
         sun_zenith=np.radians([95.0, 40.0]),
-        view_zenith=np.append(fit.sky.view_zenith[:-1], np.radians(95.0)),
+        view_zenith=np.append(fit.sky.view_zenith[0, :-1], np.radians(95.0)),
         usable=fit.sky.usable & (np.arange(10) < 9)[:, None],
     )
     words = ("only a combination is determined of " + ", ".join(FREE * 4),) * 12

@@ -427,7 +427,7 @@ def test_any_order_of_rows_reads_alike(tmp_path_factory, directions, wavelengths
     assert sky.wavelength_nm.tolist() == sorted(wavelengths)
     assert np.all(sky.usable)
     for place in range(len(directions)):
-        angles = np.round(np.rad2deg([sky.view_zenith[place], sky.view_azimuth[place]]))
+        angles = np.round(np.rad2deg([sky.view_zenith[0, place], sky.view_azimuth[0, place]]))
         for index, wavelength in enumerate(sorted(wavelengths)):
             direction = (int(angles[0]), int(angles[1]))
             assert sky.radiance[0, place, index] == radiance[direction, wavelength]

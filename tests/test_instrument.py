@@ -154,10 +154,8 @@ def test_the_channels_of_a_camera_tell_the_turbidity(x64, name):
     response = getattr(skyfit.Response, name)()
     spectrum = by_hand(wavelength_nm=response.wavelength_nm, fwhm_nm=None)
     colours = spectrum @ response.weight.T
-    sky = made(colours, 0.01, wavelength_nm=response.centre_nm, fwhm_nm=np.nan)
-    fit = skyfit.invert(
-        sky, ("turbidity", "asymmetry"), SOLVER, exponent(), response=response, measurement=EXACT
-    )  # fmt: skip
+    sky = made(colours, 0.01, wavelength_nm=response.centre_nm, fwhm_nm=np.nan, response=response)
+    fit = skyfit.invert(sky, ("turbidity", "asymmetry"), SOLVER, exponent(), measurement=EXACT)
     truth = [float(skyfit.optical_depth_to_turbidity(0.2)), 0.65]
     assert fit.result == ("successful",) and fit.determined.all()
     assert np.all(off(fit, np.array(truth)) < 3.0) and fit.sigma[0, 0] < 0.05 * truth[0]

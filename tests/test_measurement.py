@@ -173,16 +173,16 @@ def test_the_xyz_of_a_spectrum_is_that_of_colour_science():
         colour.SpectralDistribution(between, fine.wavelengths), observer, colour.sd_ones(fine), k=683.0,
         method="Integration",
     )  # fmt: skip
-    np.testing.assert_allclose(response.weight @ spectrum, [z, y, x], rtol=1e-4)
-    assert np.all(np.diff(response.centre_nm) > 0.0)
+    np.testing.assert_allclose(response.weight @ spectrum, [x, y, z], rtol=1e-4)
+    assert response.names == ("X", "Y", "Z") and np.all(np.diff(response.centre_nm) < 0.0)
 
 
 def test_linear_srgb_is_the_matrix_of_the_standard_times_xyz():
     xyz, rgb = skyfit.Response.xyz(), skyfit.Response.linear_srgb()
     spectrum = 0.1 * (xyz.wavelength_nm / 500.0) ** -2.5
-    expected = colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB @ (xyz.weight @ spectrum)[::-1]
-    np.testing.assert_allclose(rgb.weight @ spectrum, expected[::-1], rtol=2e-3)
-    assert np.all(np.diff(rgb.centre_nm) > 0.0)
+    expected = colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB @ (xyz.weight @ spectrum)
+    np.testing.assert_allclose(rgb.weight @ spectrum, expected, rtol=2e-3)
+    assert rgb.names == ("R", "G", "B") and np.all(np.diff(rgb.centre_nm) < 0.0)
 
 
 @pytest.mark.parametrize(
@@ -192,6 +192,7 @@ def test_linear_srgb_is_the_matrix_of_the_standard_times_xyz():
         ([500.0, 400.0], [[1.0, 1.0]], "`wavelength_nm` increase"),
         ([400.0, 500.0], [[1.0, np.nan]], "`weight` must be finite"),
         ([400.0, 5000.0], [[1.0, 1.0]], "within 300-1100 nm"),
+        ([400.0, 500.0], [[1.0, 1.0], [0.0, 0.0]], "`weight` must not be 0 everywhere in a channel"),
     ],
 )
 def test_responses_that_are_refused(wavelength, weight, said):

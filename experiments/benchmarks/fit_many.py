@@ -72,9 +72,8 @@ def skies(count: int) -> tuple[skyfit.Sky, np.ndarray]:
 
 def first(sky: skyfit.Sky, count: int) -> skyfit.Sky:
     """The first times of a sky."""
-    cut = {name: getattr(sky, name)[:count] for name in
-           ("radiance", "sigma", "usable", "sun_zenith", "sun_azimuth", "time")}  # fmt: skip
-    return replace(sky, **cut)
+    names = ("radiance", "sigma", "usable", "view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth", "time")
+    return replace(sky, **{name: getattr(sky, name)[:count] for name in names})
 
 
 def timed(sky: skyfit.Sky, batch: int) -> tuple[skyfit.Fits, dict[str, float]]:

@@ -45,7 +45,7 @@ HALVES_OF_MODELS = 3
 def from_sun(sky: skyfit.Sky) -> np.ndarray:
     """Degrees between each direction and the sun, `[time, direction]`, the sun as the file has it."""
     half = [
-        haversine(sky.view_zenith, zenith, sky.view_azimuth - azimuth)
+        haversine(sky.view_zenith[0], zenith, sky.view_azimuth[0] - azimuth)
         for zenith, azimuth in zip(sky.sun_zenith, sky.sun_azimuth, strict=True)
     ]
     return np.degrees(2.0 * np.arcsin(np.sqrt(np.asarray(half))))
@@ -91,7 +91,7 @@ def errors_of(fit, sky: skyfit.Sky, chosen: np.ndarray) -> dict[str, float]:
 
 def compared(sky: skyfit.Sky) -> dict:
     """Each of `MODELS` in the sample and on held-out halves."""
-    everywhere = np.ones(len(sky.view_zenith), bool)
+    everywhere = np.ones(sky.radiance.shape[1], bool)
     record = {}
     for name, (solver, free) in MODELS.items():
         fit = skyfit.invert(sky, free, solver)
@@ -120,7 +120,7 @@ def compared(sky: skyfit.Sky) -> dict:
 
 def random_half(sky: skyfit.Sky, seed: int) -> np.ndarray:
     """Half of the directions."""
-    half = np.zeros(len(sky.view_zenith), bool)
+    half = np.zeros(sky.radiance.shape[1], bool)
     half[np.random.default_rng(seed).permutation(half.size)[: half.size // 2]] = True
     return half
 
@@ -134,25 +134,26 @@ def remains(fit, sky: skyfit.Sky) -> dict[str, float]:
     angle, rows, residuals, causes = from_sun(sky), [], [], {}
     places = [int(np.argmin(np.abs(sky.wavelength_nm - colour))) for colour in COLOURS[:-1]]
     colours = sky.wavelength_nm[places]
-    ring = np.degrees(sky.view_zenith)
+    zenith, azimuth = sky.view_zenith[0], sky.view_azimuth[0]
+    ring = np.degrees(zenith)
 
     @eqx.filter_jit
     def polarised(model, zenith, sun_zenith, sun_azimuth):
-        view = skyfit.Directions(zenith, sky.view_azimuth)
+        view = skyfit.Directions(zenith, azimuth)
         scene = skyfit.Scene(sun_zenith, sun_azimuth, view, colours, np.ones(colours.size))
         return fit.solver.stokes(model.atmosphere, model.instrument.sees(scene))
 
     for t, model in enumerate(fit.fitted.models[:SETTLED]):
         sun = float(sky.sun_zenith[t]), float(sky.sun_azimuth[t])
-        here, above = (polarised(model, sky.view_zenith + step, *sun) for step in (0.0, 1e-3))
+        here, above = (polarised(model, zenith + step, *sun) for step in (0.0, 1e-3))
         light, q, u = (np.asarray(part) for part in here)
         slope = (np.log(np.asarray(above.radiance)) - np.log(light)) / 1e-3
         for i, w in enumerate(places):
             good = sky.usable[t, :, w] & (angle[t] > BINS[0])
             causes = {
                 "ring at 56": np.abs(ring - 56.0) < 3.0, "rings to 18": ring < 25.0, "q": q[:, i] / light[:, i],
-                "u": u[:, i] / light[:, i], "tilt north": slope[:, i] * np.cos(sky.view_azimuth),
-                "tilt east": slope[:, i] * np.sin(sky.view_azimuth), "stray": 1.0 / light[:, i],
+                "u": u[:, i] / light[:, i], "tilt north": slope[:, i] * np.cos(azimuth),
+                "tilt east": slope[:, i] * np.sin(azimuth), "stray": 1.0 / light[:, i],
                 "log radiance": np.log(light[:, i]),
             }  # fmt: skip
             rows.append(np.array([c[good] for c in causes.values()], float).T)

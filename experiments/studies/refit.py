@@ -140,7 +140,7 @@ def one_more_term(view, skies, count=120) -> dict:
 def measured(path, models) -> dict:
     """RMSE of each model at the turbidity that fits each scan best; spectral in mW m^-2 sr^-1 nm^-1, luminance."""
     sky = skyfit.read(path).select(SCORED_NM)
-    view = skyfit.Directions(sky.view_zenith, sky.view_azimuth)
+    view = skyfit.Directions(sky.view_zenith[0], sky.view_azimuth[0])
     factor = float(earth_sun_factor(147))
     record = {}
     for name, (model, low, high) in models.items():

@@ -141,9 +141,10 @@ def _radiance_and_jacobian(solver, model, values, scene):
 
 def relative_shapes(sky, names) -> np.ndarray:
     """Smooth relative errors of size about one on the sky's samples, `[sample, shape]`."""
-    airmass = 1.0 / np.cos(sky.view_zenith)
-    cosine = np.cos(sky.sun_zenith[0]) * np.cos(sky.view_zenith)
-    cosine = cosine + np.sin(sky.sun_zenith[0]) * np.sin(sky.view_zenith) * np.cos(sky.view_azimuth - sky.sun_azimuth)
+    zenith, azimuth = sky.view_zenith[0], sky.view_azimuth[0]
+    airmass = 1.0 / np.cos(zenith)
+    cosine = np.cos(sky.sun_zenith[0]) * np.cos(zenith)
+    cosine = cosine + np.sin(sky.sun_zenith[0]) * np.sin(zenith) * np.cos(azimuth - sky.sun_azimuth)
     one = np.ones_like(cosine)
     colour, grey = np.log(sky.wavelength_nm / 550.0) / 0.3, np.ones_like(sky.wavelength_nm)
     every = {
@@ -160,7 +161,7 @@ def model_error(truths, solver) -> dict:
     errors, biases, gains, sigmas, skies = [], [], [], [], []
     for truth in truths:
         sky = foreign.sasktran2_sky(truth)
-        view = skyfit.Directions(sky.view_zenith, sky.view_azimuth)
+        view = skyfit.Directions(sky.view_zenith[0], sky.view_azimuth[0])
         sun = skyfit.light.extraterrestrial_irradiance(sky.wavelength_nm, sky.fwhm_nm)
         scene = skyfit.Scene(sky.sun_zenith[0], sky.sun_azimuth[0], view, sky.wavelength_nm, sun)
         found = _radiance_and_jacobian(solver, SkyModel(truth.atmosphere()), jnp.asarray(truth.values(FREE)), scene)

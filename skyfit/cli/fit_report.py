@@ -42,7 +42,7 @@ def _print_skies(fit: Fit) -> None:
         skies.add_column(heading, justify="right", no_wrap=True)
     skies.add_column("result")
     for t, name in enumerate(names):
-        angles = (f"{np.degrees(angle[t]):.2f}" for angle in (fit.sky.sun_zenith, fit.sky.sun_azimuth))
+        angles = (f"{np.degrees(angle):.2f}" for angle in fit.sky.sun_at(t))
         chi_square, freedom = f"{fit.reduced_chi_square[t]:.2f}", f"{fit.degrees_of_freedom[t]:.1f}"
         skies.add_row(
             name, *angles, f"{factor * fit.rmse[t]:.2f}", chi_square, freedom, f"{fit.steps[t]}",
@@ -199,7 +199,7 @@ def _rejected(fit: Fit):
         where = np.flatnonzero(fit.rejected[t])
         if not where.size:
             continue
-        zenith, azimuth = np.degrees(sky.view_zenith[where]), np.degrees(sky.view_azimuth[where])
+        zenith, azimuth = np.degrees(sky.view_zenith[t, where]), np.degrees(sky.view_azimuth[t, where])
         shown = [f"{z:.0f} {a:.0f}" for z, a in zip(zenith[:_MOST_NAMED], azimuth[:_MOST_NAMED], strict=True)]
         more = "" if where.size <= _MOST_NAMED else f" and {where.size - _MOST_NAMED} more"
         count = "1 direction" if where.size == 1 else f"{where.size} directions"

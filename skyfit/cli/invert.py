@@ -82,7 +82,8 @@ def invert_command(
     measured = _read(sky, latitude, longitude, utc_offset, altitude, fwhm)
     start = start_of(names, fix or [], measured)
     common = shared_of(names, shared, independent, tuple(smoothed), len(measured.time))
-    vector = response is None and solver == "orders" if polarised is None else polarised
+    spectral = channels is None and measured.response is None
+    vector = spectral and solver == "orders" if polarised is None else polarised
     last = make_solver(solver, preset, geometry, vector)
     first = None if (solver, preset) == _USUAL_SOLVER else make_solver(solver, PresetName.draft, geometry, vector)
     check_folder(out)

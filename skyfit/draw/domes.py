@@ -56,7 +56,7 @@ def plot(fit: Fit, path: str | os.PathLike) -> None:
                 weight="bold")  # fmt: skip
     figure.text(0.012, 1.0 - 0.43 / tall, _settings(fit), fontsize=8.5, va="center", color="#555555")
     draw_shared(figure, fit, 0.012 * _WIDE, tall - heading - 0.05)
-    ends = np.unique(fit.sky.wavelength_nm[band][[0, -1]])
+    ends = np.unique([fit.sky.wavelength_nm[band].min(), fit.sky.wavelength_nm[band].max()])
     ends = "-".join(f"{end:g}" for end in ends)
     caption = (
         f"Domes: mean radiance of the fitted samples at {ends} nm, as on a map: zenith in the "
@@ -161,10 +161,11 @@ def _draw_row(figure, fit: Fit, t: int, band, base: float, height: float, tall: 
     measured = np.where(kept, np.where(used, sky.radiance[t][:, band], 0.0).sum(axis=1) / count, np.nan)
     same = np.where(kept, np.where(used, fit.model[t][:, band], 0.0).sum(axis=1) / count, np.nan)
     model = fit.model[t][:, band].mean(axis=1)
-    model = np.where(sky.view_zenith <= 0.5 * np.pi, model, np.nan)
+    model = np.where(sky.view_zenith[t] <= 0.5 * np.pi, model, np.nan)
     difference = 100.0 * (same - measured) / (np.nanmean(measured) if kept.any() else 1.0)
-    sun = (sky.sun_zenith[t], sky.sun_azimuth[t])
-    nearest = cells(sky.view_zenith, sky.view_azimuth)
+    sun = sky.sun_at(t)
+    view = sky.view_zenith[t], sky.view_azimuth[t]
+    nearest = cells(*view)
     limit = _limit(difference)
     side, top = 2.1, base + height
 
@@ -188,9 +189,9 @@ def _draw_row(figure, fit: Fit, t: int, band, base: float, height: float, tall: 
         axes.text(-1.12, 1.0, name, fontsize=8.5)
         picture = np.where(nearest >= 0, values[nearest], np.nan)
         images.append(draw_dome(axes, picture, sun, **style))
-        _draw_samples(axes, sky, whole, "#777777" if name == "residual" else "white")
+        _draw_samples(axes, *view, whole, "#777777" if name == "residual" else "white")
         if name != "model":
-            x, y = place(sky.view_zenith[fit.rejected[t]], sky.view_azimuth[fit.rejected[t]])
+            x, y = place(*(angle[fit.rejected[t]] for angle in view))
             axes.plot(x, y, "x", markersize=5.0, markeredgewidth=1.1, color=_REJECTED, zorder=4)
     bar_y = top - 0.6 - side
     _bar(figure, images[0], box(0.6, bar_y, 2.0 * side - 0.9, 0.07), unit)
@@ -201,7 +202,8 @@ def _draw_row(figure, fit: Fit, t: int, band, base: float, height: float, tall: 
 
 def _title(fit: Fit, t: int) -> str:
     sky = fit.sky
-    degrees = np.degrees([sky.sun_zenith[t], sky.sun_azimuth[t] % (2.0 * np.pi)])
+    zenith, azimuth = sky.sun_at(t)
+    degrees = np.degrees([zenith, azimuth % (2.0 * np.pi)])
     return (
         f"{time_names(sky)[t].replace('T', ' ').removesuffix('Z')}{'' if np.isnat(sky.time[t]) else ' UTC'}"
         f"    sun zenith {degrees[0]:.1f}\N{DEGREE SIGN}, azimuth {degrees[1]:.1f}\N{DEGREE SIGN}"
@@ -229,9 +231,9 @@ def _limit(difference) -> float:
     return next((step for step in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if wanted <= step), 100.0)
 
 
-def _draw_samples(axes, sky, kept, colour: str) -> None:
-    above = sky.view_zenith <= 0.5 * np.pi
-    x, y = place(sky.view_zenith, sky.view_azimuth)
+def _draw_samples(axes, zenith, azimuth, kept, colour: str) -> None:
+    above = zenith <= 0.5 * np.pi
+    x, y = place(zenith, azimuth)
     axes.plot(x[above & kept], y[above & kept], ".", markersize=1.4, color=colour, alpha=0.75, zorder=3)
     hollow = {"markerfacecolor": "none", "markeredgecolor": "#777777", "markeredgewidth": 0.6}
     axes.plot(x[above & ~kept], y[above & ~kept], "o", markersize=3.2, zorder=3, **hollow)
@@ -268,7 +270,8 @@ def _draw_spectra(axes, fit: Fit, t: int) -> None:
     line = {"color": _MODEL, "marker": ".", "markersize": 1.0 if many else 2.5, "linewidth": 1.1}
     for name, values, style in (("measured", fit.sky.radiance[t], dots), ("model", fit.model[t], line)):
         mean = np.where(used.any(axis=0), np.where(used, values, 0.0).sum(axis=0) / count, np.nan)
-        axes.plot(wavelength, factor * mean, label=name, **style)
+        order = np.argsort(wavelength)
+        axes.plot(wavelength[order], factor * mean[order], label=name, **style)
         peak = max(peak, factor * float(np.nanmax(mean)))
     axes.set_ylim(0.0, 1.15 * max(peak, 1e-30))
     axes.tick_params(labelsize=7.5, length=2.5, width=0.6)

@@ -1,6 +1,6 @@
 from .noise import Measurement as Measurement
 from .readers import read as read, read_directions as read_directions, read_response as read_response
-from .response import Response as Response
+from .response import LineShape as LineShape, Response as Response, Seen as Seen
 from .samples import (
     Sky as Sky,
     station_pressure as station_pressure,

@@ -1,23 +1,47 @@
-"""Spectral responses: what each channel of an instrument makes of a spectrum."""
+"""How an instrument sees a spectrum: at which wavelengths, the sun's light at them, what each channel reads."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..light import observer_weights, SRGB_FROM_XYZ
+from ..light import extraterrestrial_irradiance, observer_weights, SRGB_FROM_XYZ
+
+
+@dataclass(frozen=True)
+class LineShape:
+    """Wavelengths that are each seen through a Gaussian line, NaN or 0 nm wide at half maximum: as it is.
+
+    Sunlight is convolved with it; the model, which is smooth where the sun's lines are not, stands for the line at its
+    centre.
+    """
+
+    fwhm_nm: float
+    weight: None = None
+
+    def spectrum(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """The sky's own wavelengths."""
+        return wavelength_nm
+
+    def sunlight(self, spectrum_nm: np.ndarray) -> np.ndarray:
+        """The sun's irradiance through the line, W m^-2 nm^-1."""
+        width = self.fwhm_nm if np.isfinite(self.fwhm_nm) and self.fwhm_nm > 0.0 else None
+        return np.asarray(extraterrestrial_irradiance(spectrum_nm, width), float)
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
     """Channels of a camera or photometer: what each makes of a spectrum.
 
-    `wavelength_nm` `[wavelength]`, increasing and fine enough for a sum over them; `weight` `[channel, wavelength]`:
-    a channel's value is the sum of weight times spectral radiance (so that a width of band is in the weight).
-    Channels stand in the order of the sky's `wavelength_nm`, which gives each a place and a label.
+    `wavelength_nm` `[spectrum]`, increasing and fine enough for a sum over them; `weight` `[channel, spectrum]`:
+    a channel's value is the sum of weight times spectral radiance (so that a width of band is in the weight);
+    `names` of the channels, by default their mean wavelengths. A sky that has this as its `response` has an axis of
+    these channels in this order in place of wavelengths.
     """
 
     wavelength_nm: np.ndarray
     weight: np.ndarray
+    names: tuple[str, ...] = ()
 
     def __post_init__(self):
         wavelength = np.atleast_1d(np.asarray(self.wavelength_nm, float))
@@ -29,8 +53,14 @@ class Response:
             )
         if not (np.all(np.isfinite(weight)) and np.all((wavelength >= 300.0) & (wavelength <= 1100.0))):
             raise ValueError("`weight` must be finite and `wavelength_nm` within 300-1100 nm")
+        if not np.all(np.any(weight != 0.0, axis=1)):
+            raise ValueError("`weight` must not be 0 everywhere in a channel")
         object.__setattr__(self, "wavelength_nm", wavelength)
         object.__setattr__(self, "weight", weight)
+        names = tuple(map(str, self.names)) or tuple(f"{centre:.4g} nm" for centre in self.centre_nm)
+        if len(names) != len(weight):
+            raise ValueError(f"`names` must hold one for each of {len(weight)} channels, got {', '.join(names)}")
+        object.__setattr__(self, "names", names)
 
     @property
     def centre_nm(self) -> np.ndarray:
@@ -38,15 +68,40 @@ class Response:
         size = np.abs(self.weight)
         return size @ self.wavelength_nm / np.sum(size, axis=1)
 
+    def spectrum(self, wavelength_nm: np.ndarray) -> np.ndarray:
+        """The response's own wavelengths, whatever those that label the sky's channels."""
+        return self.wavelength_nm
+
+    def sunlight(self, spectrum_nm: np.ndarray) -> np.ndarray:
+        """The sun's irradiance as it is, W m^-2 nm^-1."""
+        return np.asarray(extraterrestrial_irradiance(spectrum_nm), float)
+
+    def take(self, channels: Sequence[int] | np.ndarray) -> "Response":
+        """Some of the channels, in an order of one's own."""
+        names = tuple(self.names[channel] for channel in channels)
+        return Response(self.wavelength_nm, self.weight[np.asarray(channels, int)], names)
+
+    def same_as(self, other: "Response | None") -> bool:
+        """Whether another one makes the same of a spectrum, whatever its channels' names."""
+        pairs = () if other is None else ((self.wavelength_nm, other.wavelength_nm), (self.weight, other.weight))
+        # as files round them
+        return other is not None and all(a.shape == b.shape and np.allclose(a, b, rtol=1e-9) for a, b in pairs)
+
     @classmethod
     def xyz(cls) -> "Response":
-        """CIE 1931 Z, Y, X in cd m^-2, by increasing wavelength; x, y, Y give X = x Y / y, Z = (1 - x - y) Y / y."""
+        """CIE 1931 X, Y, Z in cd m^-2; x, y, Y give X = x Y / y, Z = (1 - x - y) Y / y."""
         wavelength = np.arange(380.0, 781.0, 10.0)
-        return cls(wavelength, np.asarray(observer_weights(wavelength), float).T[::-1])
+        return cls(wavelength, np.asarray(observer_weights(wavelength), float).T, ("X", "Y", "Z"))
 
     @classmethod
     def linear_srgb(cls) -> "Response":
-        """Linear sRGB of a calibrated camera in cd m^-2, blue, green, red by increasing wavelength."""
+        """Linear sRGB of a calibrated camera in cd m^-2: red, green, blue."""
         wavelength = np.arange(380.0, 781.0, 10.0)
         weights = np.asarray(observer_weights(wavelength), float)
-        return cls(wavelength, (np.asarray(SRGB_FROM_XYZ, float) @ weights.T)[::-1])
+        return cls(wavelength, np.asarray(SRGB_FROM_XYZ, float) @ weights.T, ("R", "G", "B"))
+
+
+# How an instrument sees a spectrum, of either kind: `spectrum(wavelength_nm)`, where the model is solved for a sky of
+# these wavelengths; `sunlight(spectrum_nm)`, the sun's irradiance there as the instrument sees it; `weight`, by which a
+# channel's reading is a sum over radiances there, None where each is a channel
+Seen = LineShape | Response

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..atmosphere import pressure_at_altitude, SEA_LEVEL_PRESSURE
+from .response import LineShape, Response, Seen
 
 
 # what a station can be: in the troposphere, whose pressure `pressure_at_altitude` knows; the narrowest line shape
@@ -30,12 +31,15 @@ class Sky:
     - `radiance`: W m^-2 sr^-1 nm^-1, [time, direction, wavelength], NaN where missing
     - `sigma`: standard deviation of `radiance`, same unit and shape, or None
     - `usable`: bool, same shape; False where missing, negative, saturated or suspect
-    - `view_zenith`, `view_azimuth`: rad, [direction]; azimuth clockwise from north
-    - `wavelength_nm`: nm, [wavelength], increasing
-    - `sun_zenith`, `sun_azimuth`: rad, [time], in the frame of `view_azimuth`
+    - `view_zenith`, `view_azimuth`: rad, azimuth clockwise from north; given as [direction], the same at all times, or
+      as [time, direction], as which they are held; both NaN past the end of a shorter scan
+    - `wavelength_nm`: nm, [wavelength], increasing; with a `response` what its channels are called, in their order
+    - `sun_zenith`, `sun_azimuth`: rad, in the frame of `view_azimuth`, [time], or [time, wavelength] where the sun has
+      moved between the wavelengths (a filter wheel takes its time); `sun_at` gives the mean
     - `time`: datetime64, UTC, [time]; NaT where unknown
     - `latitude_deg`, `longitude_deg`, `altitude_m`, `pressure_pa`: the station, NaN if unknown
     - `fwhm_nm`: full width at half maximum of the instrument's Gaussian line shape, nm, or NaN
+    - `response`: the channels that stand in the place of wavelengths, and `radiance` is what they read; or None
     - `direct_irradiance`, `direct_sigma`: of the sun's beam on a plane normal to it, W m^-2 nm^-1,
       [time, wavelength], NaN where missing; None where it was not measured
     - `masked`: reason -> count of samples that are not usable for it
@@ -44,7 +48,7 @@ class Sky:
 
     **Returns** the sky, whose arrays agree in shape; otherwise `ValueError`.
 
-    **Valid** zenith angles in [0, pi]; a direction below the horizon must not be usable.
+    **Valid** zenith angles in [0, pi]; a direction that is NaN or below the horizon must not be usable.
     """
 
     # Shapes are checked below, in words that a reader of files can pass on.
@@ -62,6 +66,7 @@ class Sky:
     altitude_m: float = float("nan")
     pressure_pa: float = float("nan")
     fwhm_nm: float = float("nan")
+    response: Response | None = None
     direct_irradiance: np.ndarray | None = None
     direct_sigma: np.ndarray | None = None
     masked: dict[str, int] = field(default_factory=dict)
@@ -100,8 +105,27 @@ class Sky:
         for name in STATION_RANGES:
             object.__setattr__(self, name, float(getattr(self, name)))
         object.__setattr__(self, "notes", tuple(self.notes))
+        for name in ("view_zenith", "view_azimuth"):
+            value = getattr(self, name)
+            if value.ndim == 1 and value.shape == self.radiance.shape[1:2]:
+                # no copy: a long series of one pattern holds it once
+                object.__setattr__(self, name, np.broadcast_to(value, self.radiance.shape[:2]))
+        self._hold_sun()
         self._check_shapes()
         self._check_values()
+
+    def _hold_sun(self):
+        """Both of the sun's angles with an axis of wavelength where one of them varies along it, else without."""
+        angles = self.sun_zenith, self.sun_azimuth
+        grid = self.radiance.shape[::2]
+        # a shape that is neither is for the check to refuse
+        if not any(angle.shape == grid for angle in angles) or any(angle.shape[:1] != grid[:1] for angle in angles):
+            return
+        angles = [angle[:, None] if angle.ndim == 1 else angle for angle in angles]
+        still = all(np.array_equal(angle, np.broadcast_to(angle[:, :1], angle.shape)) for angle in angles)
+        for name, angle in zip(("sun_zenith", "sun_azimuth"), angles, strict=True):
+            held = angle[:, 0] if still else np.broadcast_to(angle, grid) if angle.shape[1] == 1 else angle
+            object.__setattr__(self, name, held)
 
     def _check_shapes(self):
         if self.radiance.ndim != 3:
@@ -114,11 +138,11 @@ class Sky:
         expected = {
             "sigma": self.radiance.shape,
             "usable": self.radiance.shape,
-            "view_zenith": (directions,),
-            "view_azimuth": (directions,),
+            "view_zenith": (times, directions),
+            "view_azimuth": (times, directions),
             "wavelength_nm": (wavelengths,),
-            "sun_zenith": (times,),
-            "sun_azimuth": (times,),
+            "sun_zenith": (times, wavelengths)[: self.sun_zenith.ndim or 1],
+            "sun_azimuth": (times, wavelengths)[: self.sun_zenith.ndim or 1],
             "time": (times,),
             "direct_irradiance": (times, wavelengths),
             "direct_sigma": (times, wavelengths),
@@ -126,24 +150,31 @@ class Sky:
         for name, shape in expected.items():
             value = getattr(self, name)
             if value is not None and value.shape != shape:
+                other = f" or {shape[1:]}" if name.startswith("view") else ""
+                other = f" or {(times, wavelengths)}" if name.startswith("sun") and len(shape) == 1 else other
                 raise ValueError(
-                    f"`{name}` must have shape {shape} to agree with `radiance` "
+                    f"`{name}` must have shape {shape}{other} to agree with `radiance` "
                     f"{self.radiance.shape}, got {value.shape}"
                 )
 
     def _check_values(self):
+        # of a shorter scan, past its end
+        absent = np.isnan(self.view_zenith) & np.isnan(self.view_azimuth)
+        nowhere = {"view_zenith": absent, "view_azimuth": absent}
         for name in ("view_zenith", "sun_zenith"):
             value = getattr(self, name)
-            if not np.all((value >= 0.0) & (value <= np.pi)):
+            if not np.all((value >= 0.0) & (value <= np.pi) | nowhere.get(name, False)):
                 raise ValueError(f"`{name}` must be in [0, pi] rad, got {_extremes(value)}")
         for name in ("view_azimuth", "sun_azimuth"):
             value = getattr(self, name)
-            if not np.all(np.abs(value) < _LARGEST_AZIMUTH):
+            if not np.all((np.abs(value) < _LARGEST_AZIMUTH) | nowhere.get(name, False)):
                 raise ValueError(f"`{name}` must be finite and in rad, got {_extremes(value)}")
         wavelength = self.wavelength_nm
-        if not (np.all(np.isfinite(wavelength)) and np.all(np.diff(wavelength) > 0.0)):
+        if self.response is not None:
+            self._check_response()
+        elif not (np.all(np.isfinite(wavelength)) and np.all(np.diff(wavelength) > 0.0)):
             raise ValueError(f"`wavelength_nm` must increase, got {_extremes(wavelength)}")
-        if wavelength[0] <= 0.0 or wavelength[-1] < 10.0:
+        if wavelength.min() <= 0.0 or wavelength.max() < 10.0:
             raise ValueError(f"`wavelength_nm` must be in nm, got {_extremes(wavelength)}")
         for name, (low, high, unit) in STATION_RANGES.items():
             value = getattr(self, name)
@@ -151,12 +182,69 @@ class Sky:
                 raise ValueError(f"`{name}` must be {low:g} to {high:g} {unit}, or NaN, got {value:g}")
         if not np.all(np.isfinite(self.radiance[self.usable])):
             raise ValueError("`usable` must be False where `radiance` is not finite")
-        if np.any(self.usable[:, self.view_zenith > 0.5 * np.pi + 1e-6]):
+        used = self.usable.any(axis=2)
+        if np.any(used & absent):
+            raise ValueError("`usable` must be False where `view_zenith` and `view_azimuth` are NaN")
+        if np.any(used & (self.view_zenith > 0.5 * np.pi + 1e-6)):
             raise ValueError("`usable` must be False where `view_zenith` is below the horizon, past pi/2 rad")
         if self.sigma is not None:
             sigma = self.sigma[self.usable]
             if not np.all((sigma > 0.0) & np.isfinite(sigma)):
                 raise ValueError("`usable` must be False where `sigma` is not positive and finite")
+
+    def _check_response(self):
+        wavelength, channels = self.wavelength_nm, len(self.response.weight) if self.response else 0
+        if channels != len(wavelength):
+            raise ValueError(
+                f"`response` must have a channel for each of the sky's {len(wavelength)} wavelengths, got {channels}"
+            )
+        if not np.all(np.isfinite(wavelength)) or len(np.unique(wavelength)) < channels:
+            raise ValueError(f"`wavelength_nm` must differ between channels, got {_extremes(wavelength)}")
+        if np.isfinite(self.fwhm_nm):
+            raise ValueError(
+                f"`fwhm_nm` must be NaN with a `response`, which says how the instrument sees, got {self.fwhm_nm:g}"
+            )
+
+    @property
+    def seen(self) -> Seen:
+        """How the instrument sees a spectrum: by the channels of its response, or each wavelength by a line shape."""
+        return LineShape(self.fwhm_nm) if self.response is None else self.response
+
+    def with_response(self, response: Response | None) -> "Sky":
+        """The sky with its samples as readings of a response: the rule by which `invert` and others take theirs.
+
+        **Arguments** `response`: None for the sky's own, which stands; given to a sky without one, its channels are
+        put in the order of the sky's wavelengths by their mean wavelengths.
+
+        **Valid** another one than the sky's own, another number of channels, or a line shape besides: `ValueError`.
+        """
+        if response is None:
+            return self
+        if self.response is None:
+            if len(response.weight) == len(self.wavelength_nm):
+                response = response.take(np.argsort(response.centre_nm, kind="stable"))
+            return replace(self, response=response)
+        if not response.same_as(self.response):
+            raise ValueError(
+                "`response` must be left out or the sky's own, whose channels are "
+                f"{', '.join(self.response.names)}, got others: {', '.join(response.names)}"
+            )
+        return self
+
+    @property
+    def one_pattern(self) -> bool:
+        """Whether all times look in the same directions."""
+        views = self.view_zenith, self.view_azimuth
+        return all(np.array_equal(view, np.broadcast_to(view[:1], view.shape), equal_nan=True) for view in views)
+
+    def sun_at(self, time: int) -> tuple[float, float]:
+        """Zenith angle and azimuth of the sun at a time, rad; the mean where they differ between the wavelengths."""
+        zenith, azimuth = self.sun_zenith[time], self.sun_azimuth[time]
+        if zenith.ndim == 0:
+            return float(zenith), float(azimuth)
+        # azimuths may lie on both sides of north
+        turned = np.mean(np.remainder(azimuth - azimuth[0] + np.pi, 2.0 * np.pi) - np.pi)
+        return float(np.mean(zenith)), float(azimuth[0] + turned)
 
     def counts(self) -> dict[str, int]:
         """How many samples there are, how many are usable, and how many each reason masked.
@@ -186,12 +274,14 @@ class Sky:
             radiance=self.radiance[part],
             sigma=None if self.sigma is None else self.sigma[part],
             usable=usable,
+            view_zenith=self.view_zenith[part],
+            view_azimuth=self.view_azimuth[part],
             sun_zenith=self.sun_zenith[part],
             sun_azimuth=self.sun_azimuth[part],
             time=self.time[part],
             direct_irradiance=None if self.direct_irradiance is None else self.direct_irradiance[part],
             direct_sigma=None if self.direct_sigma is None else self.direct_sigma[part],
-            masked=self.masked if times == 1 else self._recount(self.radiance[part], usable),
+            masked=self.masked if times == 1 else _recount(self.radiance[part], usable, self.view_zenith[part]),
         )
 
     def select(self, wavelength_nm: Float[np.ndarray, " wavelength"]) -> "Sky":
@@ -202,12 +292,15 @@ class Sky:
         **Arguments** `wavelength_nm`: nm, increasing, inside the range of the sky's own.
 
         **Returns** a `Sky`; a sample is usable only if both its neighbours are. sigma is that of
-        fully correlated neighbours, the cautious choice. `masked` is counted anew.
+        fully correlated neighbours, the cautious choice. A sun that moves between wavelengths is
+        interpolated too. `masked` is counted anew.
 
-        **Valid** inside the range; outside it, `ValueError`.
+        **Valid** inside the range; outside it, `ValueError`. Of a sky with a `response` only channels, in any order.
         """
         wanted = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
         own = self.wavelength_nm
+        if self.response is not None:
+            return self._channels(self.response, wanted)
         if wanted.ndim != 1 or not np.all((wanted >= own[0]) & (wanted <= own[-1])):
             raise ValueError(f"`wavelength_nm` must lie in [{own[0]:g}, {own[-1]:g}] nm, got {_extremes(wanted)}")
         below = np.searchsorted(own, wanted, side="right") - 1
@@ -217,8 +310,13 @@ class Sky:
         gap = np.where(above == below, 1.0, own[above] - own[below])
         weight = (wanted - own[below]) / gap
 
-        def interpolate(values):
-            return values[..., below] + weight * (values[..., above] - values[..., below])
+        def interpolate(values, turns=False):
+            step = values[..., above] - values[..., below]
+            # an azimuth goes the shorter way round
+            step = np.remainder(step + np.pi, 2.0 * np.pi) - np.pi if turns else step
+            return values[..., below] + weight * step
+
+        moves = self.sun_zenith.ndim > 1
 
         radiance = interpolate(self.radiance)
         usable = self.usable[..., below] & self.usable[..., above]
@@ -228,27 +326,47 @@ class Sky:
             sigma=None if self.sigma is None else interpolate(self.sigma),
             usable=usable,
             wavelength_nm=wanted,
+            sun_zenith=interpolate(self.sun_zenith) if moves else self.sun_zenith,
+            sun_azimuth=interpolate(self.sun_azimuth, turns=True) if moves else self.sun_azimuth,
             direct_irradiance=None if self.direct_irradiance is None else interpolate(self.direct_irradiance),
             direct_sigma=None if self.direct_sigma is None else interpolate(self.direct_sigma),
-            masked=self._recount(radiance, usable),
+            masked=_recount(radiance, usable, self.view_zenith),
         )
 
-    def _recount(self, radiance, usable):
-        left = ~usable
-        below = np.broadcast_to((self.view_zenith > 0.5 * np.pi)[:, None], usable.shape[1:])
-        reasons = {
-            "missing": ~np.isfinite(radiance),
-            "negative": radiance < 0.0,
-            "below horizon": below,
-            "suspect": left,
+    def _channels(self, response: Response, wanted):
+        own = self.wavelength_nm
+        places = [int(np.argmin(np.abs(own - one))) for one in wanted.ravel()]
+        if wanted.ndim != 1 or not np.array_equal(own[places], wanted) or len(set(places)) < len(places):
+            raise ValueError(
+                f"`wavelength_nm` must name channels once each, of {', '.join(f'{w:g}' for w in own)} nm, got "
+                f"{_extremes(wanted)}"
+            )
+        parts = {
+            name: value if value is None else value[..., places]
+            for name in ("radiance", "sigma", "usable", "wavelength_nm", "direct_irradiance", "direct_sigma")
+            for value in (getattr(self, name),)
         }
-        counted = {}
-        for reason, where in reasons.items():
-            count = int(np.count_nonzero(left & where))
-            if count:
-                counted[reason] = count
-            left = left & ~where
-        return counted
+        if self.sun_zenith.ndim > 1:
+            parts |= {"sun_zenith": self.sun_zenith[:, places], "sun_azimuth": self.sun_azimuth[:, places]}
+        masked = _recount(parts["radiance"], parts["usable"], self.view_zenith)
+        return replace(self, **parts, response=response.take(places), masked=masked)
+
+
+def _recount(radiance, usable, view_zenith):
+    left = ~usable
+    reasons = {
+        "missing": ~np.isfinite(radiance),
+        "negative": radiance < 0.0,
+        "below horizon": np.broadcast_to((view_zenith > 0.5 * np.pi)[..., None], usable.shape),
+        "suspect": left,
+    }
+    counted = {}
+    for reason, where in reasons.items():
+        count = int(np.count_nonzero(left & where))
+        if count:
+            counted[reason] = count
+        left = left & ~where
+    return counted
 
 
 def _extremes(values):

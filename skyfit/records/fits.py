@@ -126,12 +126,13 @@ def _settings(asked: Prepared, max_steps: int, guess: bool, starts: int) -> dict
     sky, response = asked.sky, asked.sampling.response
     station = sky.latitude_deg, sky.longitude_deg, sky.altitude_m, sky.pressure_pa
     samples = np.where(sky.usable, sky.radiance, np.nan)
+    views = [view[0] if sky.one_pattern else view for view in (sky.view_zenith, sky.view_azimuth)]
     leaves, structure = jax.tree.flatten(asked.start)
     kinds = np.frombuffer(repr(structure).encode(), np.uint8)
     return {
         "skyfit_version": str(skyfit_version()),
         "sky": _digest(
-            samples, sky.sigma, sky.usable, sky.view_zenith, sky.view_azimuth, sky.wavelength_nm, sky.sun_zenith,
+            samples, sky.sigma, sky.usable, *views, sky.wavelength_nm, sky.sun_zenith,
             sky.sun_azimuth, sky.time.astype(np.int64), station, sky.direct_irradiance, sky.direct_sigma,
         ),
         "free": ", ".join(asked.free),

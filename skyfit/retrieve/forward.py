@@ -16,12 +16,13 @@ from .model import SkyModel
 class Problem(eqx.Module):
     """Samples of some times in a given order of directions; what is masked has weight 0.
 
-    Angles in radians, `irradiance` at the top of the air in W m^-2 nm^-1, `weight` one over sigma. `response` None:
-    samples are the radiance at the wavelengths themselves. `direct` irradiance on a plane normal to the sun, or None.
+    Angles in radians; the sun's of each time, or of each of its channels too, between which it moved. `irradiance` at
+    the top of the air in W m^-2 nm^-1, `weight` one over sigma. `response` None: samples are the radiance at the
+    wavelengths themselves. `direct` irradiance on a plane normal to the sun, or None.
     """
 
-    sun_zenith: Float[Array, " time"]
-    sun_azimuth: Float[Array, " time"]
+    sun_zenith: Float[Array, " time"] | Float[Array, "time channel"]
+    sun_azimuth: Float[Array, " time"] | Float[Array, "time channel"]
     view_zenith: Float[Array, "time direction"]
     view_azimuth: Float[Array, "time direction"]
     irradiance: Float[Array, "time wavelength"]
@@ -37,6 +38,14 @@ class Problem(eqx.Module):
         """The problem of some times only."""
         return jax.tree.map(lambda v: v[times], self)
 
+    def mean_sun(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Zenith angle and azimuth of the sun of a problem of one time, the mean where the channels' differ."""
+        if not self.sun_zenith.ndim:
+            return self.sun_zenith, self.sun_azimuth
+        # azimuths may lie on both sides of north
+        aside = jnp.remainder(self.sun_azimuth - self.sun_azimuth[0] + np.pi, 2.0 * np.pi) - np.pi
+        return jnp.mean(self.sun_zenith), self.sun_azimuth[0] + jnp.mean(aside)
+
     def scene(self, model: SkyModel) -> Scene:
         """The scene of a problem of one time (its time axis taken off), pointing offsets of the instrument included."""
         zenith, azimuth = self.view_zenith, self.view_azimuth
@@ -51,7 +60,13 @@ class Problem(eqx.Module):
 def observe(
     solver: AbstractSolver, model: SkyModel, one: Problem
 ) -> tuple[Float[Array, "direction channel"], Float[Array, " channel"] | None]:
-    """What the instrument would read of a model at one time: the sky, and the direct beam where it is measured."""
+    """What the instrument would read of a model at one time: the sky, and the direct beam where it is measured.
+
+    Under a sun for each channel each is a scene of its own, of one wavelength, or of the whole spectrum with a
+    `response`: channels times as many angles from the sun, and with a response as many wavelengths, as under one sun.
+    """
+    if one.sun_zenith.ndim:
+        return _observe_each(solver, model, one)
     scene = one.scene(model)
     radiance = solver.radiance(model.atmosphere, scene)
     if one.field_of_view > 0.0:
@@ -64,6 +79,31 @@ def observe(
     constituents = model.atmosphere.constituents
     extinction = optics(constituents, scene.wavelength_nm).extinction
     return radiance, scene.solar_irradiance * transmitted_sun(constituents, scene, extinction, solver.geometry)
+
+
+def _observe_each(solver, model, one: Problem):
+    """As `observe`, of channels that each have a sun of their own."""
+    if not model.atmosphere.smooth_in_wavelength:
+        raise ValueError("a sun for each wavelength needs an atmosphere that has no values for each wavelength")
+
+    def parts(problem):
+        light = problem.irradiance, problem.wavelength_nm, problem.response, problem.direct
+        return problem.sun_zenith, problem.sun_azimuth, *light
+
+    def read(own):
+        radiance, direct = observe(solver, model, eqx.tree_at(parts, one, own, is_leaf=lambda part: part is None))
+        return radiance[:, 0], None if direct is None else direct[0]
+
+    zenith, azimuth, irradiance, wavelength, response, direct = parts(one)
+    if response is None:
+        irradiance, wavelength = irradiance[:, None], wavelength[:, None]
+        spectrum = 0
+    else:
+        response, spectrum = response[:, None], None
+    direct = None if direct is None else direct[:, None]
+    axes = (0, 0, spectrum, spectrum, None if response is None else 0, None if direct is None else 0)
+    radiance, direct = jax.vmap(read, in_axes=(axes,))((zenith, azimuth, irradiance, wavelength, response, direct))
+    return radiance.T, direct
 
 
 # rays of a cone: distance from its axis over its half angle, turn about it, weight. Exact for polynomials of degree

@@ -43,7 +43,8 @@ def invert(
       polarised for spectral radiance, scalar for the channels of a `response`
     - `start`: the values that are not fitted, and those of the free ones where the search begins; with `guess` the
       haze's begin where single scattering explains the sky best; `starts` - 1 random ones besides
-    - `fwhm_nm`: line shape (default: the file's, or estimated from the solar lines); `response`: channels of a camera
+    - `fwhm_nm`: line shape (default: the file's, or estimated from the solar lines); `response`:
+      channels of a camera or photometer, if the sky has none (`Sky.with_response`)
     - `shared`: free names that all times have in common (`SLOW` names those that do not change within a day); none:
       each time is fitted by itself
     - `measurement`: noise, calibration, field of view, outliers (`Measurement`)

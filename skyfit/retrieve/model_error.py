@@ -32,7 +32,8 @@ def model_errors(
 
     def at(item):
         one, radiance = item
-        half = haversine(one.view_zenith, one.sun_zenith, one.view_azimuth - one.sun_azimuth)
+        sun_zenith, sun_azimuth = one.mean_sun()
+        half = haversine(one.view_zenith, sun_zenith, one.view_azimuth - sun_azimuth)
         airmass = 1.0 / jnp.maximum(jnp.cos(one.view_zenith), 0.05)
         place = one.wavelength_nm
         if one.response is not None:

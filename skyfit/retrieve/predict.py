@@ -2,24 +2,31 @@
 
 import numpy as np
 
-from ..measured import Sky
+from ..measured import Response, Sky
 from .result import Fit, Fitted
-from .sampling import Sampling
+from .sampling import Sampling, scale_at
 
 
-def predict(fit: Fit | Fitted, sky: Sky) -> np.ndarray:
+def predict(fit: Fit | Fitted, sky: Sky, response: Response | None = None) -> np.ndarray:
     """The fitted skies at the times, directions and wavelengths of another sky, as the instrument would read them.
 
-    **Arguments:** `fit` (of `skyfit.invert`, or what `skyfit.load` gives); `sky`, whose radiance is not used.
-    **Returns:** radiance `[time, direction, wavelength]`, W m^-2 sr^-1 nm^-1, NaN beyond 300-1100 nm; the fitted
-    pointing offsets and, interpolated, the fitted calibration are in it.
+    **Arguments:** `fit` (of `skyfit.invert`, or what `skyfit.load` gives); `sky`, whose radiance is not used, its
+    wavelengths seen through the fit's line shape, or the channels of its `response`, which can be given besides
+    (`Sky.with_response`).
+    **Returns:** radiance `[time, direction, wavelength]`, W m^-2 sr^-1 nm^-1, NaN beyond 300-1100 nm, or what the
+    channels read; the fitted pointing offsets and, interpolated, the fitted calibration are in it, if `sky` is seen by
+    the same channels, or both by wavelength.
     **Errors:** `ValueError` for a time of `sky` that was not fitted; one sky without a time matches one fit.
     """
-    fitted = fit.fitted if isinstance(fit, Fit) else fit
-    sampling = Sampling(sky, fitted.fwhm_nm)
+    fitted, sky = fit.fitted if isinstance(fit, Fit) else fit, sky.with_response(response)
+    sampling = Sampling(sky, fitted.fwhm_nm if sky.response is None else None)
     order = [_matching(fitted.time, sky.time, t) for t in range(len(sky.time))]
     read = np.stack([sampling.readings(fitted.solver, fitted.models[i], t) for t, i in enumerate(order)])
-    scale = np.stack([np.interp(sky.wavelength_nm, fitted.fitted_nm, fitted.calibration[i]) for i in order])
+    both = sky.response, fitted.response
+    if both != (None, None) and not (both[0] is not None and both[0].same_as(both[1])):
+        # of another instrument nothing is known
+        return read
+    scale = np.stack([scale_at(sky.wavelength_nm, fitted.fitted_nm, fitted.calibration[i]) for i in order])
     return read * scale[:, None]
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import jax.numpy as jnp
 import numpy as np
 
 from ..light.solar import SPECTRUM_NM
@@ -71,7 +72,7 @@ class Prepared:
             "loss": self.measurement.loss,
             "threshold": as_float(self.measurement.threshold),
             "model_error": as_float(self.solver.model_error if given is None else given),
-            "max_steps": np.asarray(self.max_steps),
+            "max_steps": jnp.asarray(self.max_steps),
         }
 
 
@@ -94,9 +95,10 @@ def prepared(
     **Errors:** `ValueError` for unknown or contradicting names, settings out of range, a sky without a usable sample.
     """
     free, shared = tuple(free), tuple(shared)
+    sky = sky.with_response(response)
     measurement = Measurement() if measurement is None else measurement
     # colours of a camera are told less by polarisation than by what its channels really are
-    solver = OrdersOfScattering.normal(polarised=response is None) if solver is None else solver
+    solver = OrdersOfScattering.normal(polarised=sky.response is None) if solver is None else solver
     pressure, assumed = station_pressure(sky)
     start = start_model(free, pressure) if start is None else start
     check_free(free, start)
@@ -105,7 +107,7 @@ def prepared(
     low, high, unit = STATION_RANGES["fwhm_nm"]
     if fwhm_nm is not None and np.isfinite(fwhm_nm) and not low <= fwhm_nm <= high:
         raise ValueError(f"`fwhm_nm` must be {low:g} to {high:g} {unit}, got {fwhm_nm:g}")
-    sampling = Sampling(sky, fwhm_nm, response, measurement.field_of_view)
+    sampling = Sampling(sky, fwhm_nm, measurement.field_of_view)
     if assumed:
         sampling.notes.append(assumed)
     chosen = sampling.chosen()
@@ -126,7 +128,7 @@ def prepared(
 def flaws(asked: Prepared) -> list[str]:
     """Why each time cannot be fitted: "no_samples", "too_few_samples", "sun_below_horizon", or "" if it can."""
     counts = asked.sampling.used[:, :, asked.chosen].sum(axis=(1, 2))
-    up = asked.sky.sun_zenith < 0.5 * np.pi
+    up = asked.sky.sun_zenith.reshape(len(counts), -1).max(axis=1) < 0.5 * np.pi
     return [
         "sun_below_horizon" if not up[t]
         else "no_samples" if not counts[t]

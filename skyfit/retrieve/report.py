@@ -11,6 +11,7 @@ from ..numerics.least_squares import result_name
 from .parameters import PARAMETERS, with_values
 from .prepared import Prepared
 from .result import Fit, in_words, is_determined
+from .sampling import scale_at
 from .uncertainty import Estimate
 
 
@@ -46,8 +47,8 @@ def _row(asked: Prepared, t: int, index: int, part: Estimate) -> dict:
     calibration = np.asarray(part.calibration, float)
     fitted = with_values(asked.start, free, as_float(found["values"]))
     reading = asked.sampling.readings(asked.solver, fitted, t)
-    scale = np.interp(asked.sky.wavelength_nm, asked.sky.wavelength_nm[asked.chosen], calibration)
-    reading = reading * scale[None]
+    wavelength = asked.sky.wavelength_nm
+    reading = reading * scale_at(wavelength, wavelength[asked.chosen], calibration)[None]
     used = asked.sampling.used[t]
     error = (reading - asked.sky.radiance[t])[used]
     weight = np.ones((used.shape[0], asked.chosen.size))

@@ -15,7 +15,7 @@ class Fitted:
     """The fitted skies alone, all that a prediction needs: one model per time, solver and line shape.
 
     `time` `[time]`, UTC, NaT where unknown; `models`, one a time; `fwhm_nm` NaN for no line shape; `calibration`
-    `[time, wavelength]`, the instrument's scale at `fitted_nm`.
+    `[time, wavelength]`, the instrument's scale at `fitted_nm`; `response`, whose channels were measured, or None.
     """
 
     time: np.ndarray
@@ -24,6 +24,7 @@ class Fitted:
     fwhm_nm: float
     fitted_nm: np.ndarray
     calibration: np.ndarray
+    response: Response | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +98,7 @@ class Fit:
     def fitted(self) -> Fitted:
         """The fitted skies, for `predict`."""
         models = tuple(with_values(self.start, self.free, row) for row in self.values)
-        return Fitted(self.sky.time, models, self.solver, self.fwhm_nm, self.fitted_nm, self.calibration)
+        return Fitted(self.sky.time, models, self.solver, self.fwhm_nm, self.fitted_nm, self.calibration, self.response)
 
     @property
     def rejected(self) -> np.ndarray:
@@ -123,7 +124,7 @@ class Fit:
         lines = []
         for t, name in enumerate(time_names(self.sky)):
             lines.append(
-                f"{name}  sun zenith {np.degrees(self.sky.sun_zenith[t]):.1f} deg  {self.result[t]} in "
+                f"{name}  sun zenith {np.degrees(self.sky.sun_at(t)[0]):.1f} deg  {self.result[t]} in "
                 f"{self.steps[t]} steps  rmse {1e3 * self.rmse[t]:.2f} mW m-2 sr-1 nm-1  "
                 f"reduced chi-square {self.reduced_chi_square[t]:.2f}"
             )

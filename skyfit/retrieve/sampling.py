@@ -3,9 +3,9 @@
 import equinox as eqx
 import numpy as np
 
-from ..light import earth_sun_factor, extraterrestrial_irradiance
+from ..light import earth_sun_factor
 from ..light.solar import SPECTRUM_NM
-from ..measured import Measurement, Response, Sky
+from ..measured import LineShape, Measurement, Response, Seen, Sky
 from ..measured.quality.line_shape import estimate_fwhm
 from ..measured.samples import day_of_year
 from ..numerics import as_float
@@ -26,23 +26,27 @@ _DIRECT_NOISE = 0.02
 class Sampling:
     """Which samples of a sky are fitted, and the scenes of any of its wavelengths, on the host."""
 
-    def __init__(self, sky: Sky, fwhm_nm: float | None, response: Response | None = None, field_of_view: float = 0.0):
-        self.sky, self.response, self.field_of_view = sky, response, field_of_view
+    def __init__(self, sky: Sky, fwhm_nm: float | None, field_of_view: float = 0.0):
+        self.sky, self.field_of_view = sky, field_of_view
         self.notes = list(sky.notes)
-        if response is not None and response.weight.shape[0] != len(sky.wavelength_nm):
-            raise ValueError(
-                f"`response` must have a channel for each of the sky's {len(sky.wavelength_nm)} wavelengths, "
-                f"got {response.weight.shape[0]}"
-            )
-        self.fwhm_nm = _line_shape(sky, response, self.notes) if fwhm_nm is None else float(fwhm_nm)
-        spectrum = sky.wavelength_nm if response is None else response.wavelength_nm
+        self.seen = _seen(sky, fwhm_nm, self.notes)
+        spectrum = self.seen.spectrum(sky.wavelength_nm)
         inside = (spectrum >= SPECTRUM_NM[0]) & (spectrum <= SPECTRUM_NM[1])
         self.inside = np.flatnonzero(inside)
-        width = self.fwhm_nm if np.isfinite(self.fwhm_nm) and self.fwhm_nm > 0.0 else None
         self.spectrum = spectrum
         self.irradiance = np.full(spectrum.shape, np.nan)
-        self.irradiance[inside] = np.asarray(extraterrestrial_irradiance(spectrum[inside], width))
+        self.irradiance[inside] = self.seen.sunlight(spectrum[inside])
         self.used = self._usable()
+
+    @property
+    def response(self) -> Response | None:
+        """The channels that are measured, None where they are wavelengths."""
+        return self.sky.response
+
+    @property
+    def fwhm_nm(self) -> float:
+        """Of the line shape that is taken, NaN for none."""
+        return self.seen.fwhm_nm if isinstance(self.seen, LineShape) else float("nan")
 
     def _usable(self) -> np.ndarray:
         """The sky's mask without what the model cannot explain, counted in the notes."""
@@ -85,11 +89,11 @@ class Sampling:
         measured = np.where(mask, sky.radiance[rows, places][..., chosen], 0.0)
         weight = np.where(mask, 1.0 / sigma[rows, places][..., chosen], 0.0)
         direct = self._direct(chosen)
-        arrays = self._arrays(slice(None), chosen if self.response is None else self.inside)
+        arrays = self._arrays(slice(None), chosen)
         problem = Problem(
             **arrays,
-            view_zenith=as_float(sky.view_zenith[places]),
-            view_azimuth=as_float(sky.view_azimuth[places]),
+            view_zenith=as_float(np.nan_to_num(sky.view_zenith[rows, places])),
+            view_azimuth=as_float(np.nan_to_num(sky.view_azimuth[rows, places])),
             measured=as_float(measured),
             weight=as_float(weight),
             direct=None if direct is None else as_float(direct[0]),
@@ -110,15 +114,19 @@ class Sampling:
             return None
         return np.where(good, values, 0.0), np.where(good, 1.0 / np.where(good, sigma, 1.0), 0.0)
 
-    def _arrays(self, times, wavelengths) -> dict:
+    def _arrays(self, times, channels) -> dict:
+        """Suns and spectra of some times, at some of the sky's wavelengths, or for some channels of its response."""
         sky = self.sky
+        wavelengths = channels if self.response is None else self.inside
+        suns = [as_float(v[times] if v.ndim == 1 else v[times][:, channels]) for v in (sky.sun_zenith, sky.sun_azimuth)]
         count = len(sky.time[times])
         stamps = sky.time[times]
         factor = np.array([1.0 if np.isnat(t) else earth_sun_factor(day_of_year(t)) for t in stamps])
-        weight = None if self.response is None else self.response.weight[:, wavelengths]
+        weight = self.seen.weight
+        weight = None if weight is None else weight[np.ix_(channels, wavelengths)]
         return {
-            "sun_zenith": as_float(sky.sun_zenith[times]),
-            "sun_azimuth": as_float(sky.sun_azimuth[times]),
+            "sun_zenith": suns[0],
+            "sun_azimuth": suns[1],
             "irradiance": as_float(factor[:, None] * self.irradiance[wavelengths][None]),
             "wavelength_nm": as_float(np.broadcast_to(self.spectrum[wavelengths], (count, len(wavelengths)))),
             "response": None if weight is None else as_float(np.broadcast_to(weight, (count, *weight.shape))),
@@ -127,21 +135,21 @@ class Sampling:
     def readings(self, solver: AbstractSolver, model: SkyModel, time: int) -> np.ndarray:
         """The model in every direction, at each wavelength or channel, `[direction, wavelength]`; NaN beyond it."""
         sky = self.sky
-        nothing = np.zeros((1, *sky.radiance.shape[1:]))
+        # all channels of a response, or what the solar spectrum covers of the wavelengths
+        places = self.inside if self.response is None else np.arange(sky.radiance.shape[2])
+        nothing = np.zeros((1, sky.radiance.shape[1], places.size))
         problem = Problem(
-            **self._arrays(slice(time, time + 1), self.inside),
-            view_zenith=as_float(sky.view_zenith[None]),
-            view_azimuth=as_float(sky.view_azimuth[None]),
+            **self._arrays(slice(time, time + 1), places),
+            # a direction that this time has not: any place does
+            view_zenith=as_float(np.nan_to_num(sky.view_zenith[time : time + 1])),
+            view_azimuth=as_float(np.nan_to_num(sky.view_azimuth[time : time + 1])),
             measured=as_float(nothing),
             weight=as_float(nothing),
             field_of_view=self.field_of_view,
         )
         result = np.full(sky.radiance.shape[1:], np.nan)
-        read = np.asarray(_read(solver, model, problem.at(0)))
-        if self.response is None:
-            result[:, self.inside] = read
-        else:
-            result[:] = read
+        result[:, places] = np.asarray(_read(solver, model, problem.at(0)))
+        result[np.isnan(sky.view_zenith[time])] = np.nan
         return result
 
 
@@ -150,14 +158,27 @@ def _read(solver, model, one: Problem):
     return observe(solver, model, one)[0]
 
 
-def _line_shape(sky: Sky, response: Response | None, notes: list) -> float:
-    if response is not None:
-        return float("nan")
+def scale_at(wavelength_nm: np.ndarray, fitted_nm: np.ndarray, calibration: np.ndarray) -> np.ndarray:
+    """The instrument's scale at wavelengths, or of channels by what they are called, from that at the fitted ones."""
+    order = np.argsort(fitted_nm)
+    return np.interp(wavelength_nm, fitted_nm[order], calibration[order])
+
+
+def _seen(sky: Sky, fwhm_nm: float | None, notes: list[str]) -> Seen:
+    """How the instrument sees: by the sky's response; else the line shape given, the sky's, or found in solar lines."""
+    if sky.response is not None:
+        if fwhm_nm is not None and np.isfinite(fwhm_nm):
+            raise ValueError(
+                f"`fwhm_nm` must be left out with a `response`, which says how the instrument sees, got {fwhm_nm:g}"
+            )
+        return sky.seen
+    if fwhm_nm is not None:
+        return LineShape(float(fwhm_nm))
     if np.isfinite(sky.fwhm_nm):
-        return sky.fwhm_nm
+        return sky.seen
     width = estimate_fwhm(sky)
     if np.isfinite(width):
         notes.append(f"line shape estimated from the solar lines: {width:g} nm FWHM")
     else:
         notes.append("no line shape in the file and too few wavelengths to estimate it: none applied")
-    return width
+    return LineShape(width)

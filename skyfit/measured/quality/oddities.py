@@ -44,7 +44,7 @@ def examine(sky: Sky, used: Bool[np.ndarray, "time direction wavelength"]) -> tu
     used = used & inside
     found, impossible = [*_station(sky), *_repeated(sky, used)], []
     # a sun below the horizon, or no samples, is for the fit to refuse
-    times = [time for time in range(len(sky.time)) if used[time].any() and sky.sun_zenith[time] < 0.5 * np.pi]
+    times = [time for time in range(len(sky.time)) if used[time].any() and sky.sun_at(time)[0] < 0.5 * np.pi]
     for time in times:
         light = _light(sky, used, time)
         impossible += _impossible(light)
@@ -73,10 +73,11 @@ def _repeated(sky: Sky, used):
     if len(np.unique(known)) < len(known):
         yield "a time stands more than once: each counts as a sky of its own"
     light = np.where(used, sky.radiance, np.nan)
-    angles = np.round(np.degrees(np.stack([sky.view_zenith, sky.view_azimuth % (2.0 * np.pi)], axis=1)), 6)
+    # the angles of all times in a row for each direction
+    angles = np.round(np.degrees(np.concatenate([sky.view_zenith, sky.view_azimuth % (2.0 * np.pi)]).T), 6)
     order = np.lexsort(angles.T)
     for first, second in zip(order[:-1], order[1:], strict=True):
-        if np.array_equal(angles[first], angles[second]) and used[:, first].any():
+        if np.array_equal(angles[first], angles[second], equal_nan=True) and used[:, first].any():
             if np.array_equal(light[:, first], light[:, second], equal_nan=True):
                 yield f"directions {first} and {second} hold the same samples: their noise counts as independent"
     samples = sky.radiance[used]
@@ -139,8 +140,8 @@ def _air(sky: Sky, time: int):
     $x = \tau (1/\mu - 1/\mu_s)$ (Chandrasekhar 1960, sec. 9).
     """
     depth = bodhaine_optical_depth(sky.wavelength_nm)[None]
-    view = np.maximum(np.cos(sky.view_zenith), 0.02)[:, None]
-    sun = max(float(np.cos(sky.sun_zenith[time])), 0.02)
+    view = np.maximum(np.cos(sky.view_zenith[time]), 0.02)[:, None]
+    sun = max(float(np.cos(sky.sun_at(time)[0])), 0.02)
     gap = depth * (1.0 / view - 1.0 / sun)
     gap = np.where(np.abs(gap) < 1e-6, 1e-6, gap)
     path = depth / view * np.exp(-depth / sun) * -np.expm1(-gap) / gap
@@ -169,7 +170,7 @@ def _pattern(sky: Sky, used, time: int):
 def _extent(sky: Sky, used, time: int):
     """Whether the error bars stand alone, without what is held fixed."""
     seen = used[time].any(axis=1)
-    angles = np.round(np.stack([sky.view_zenith, sky.view_azimuth % (2.0 * np.pi)], axis=1)[seen], 6)
+    angles = np.round(np.stack([sky.view_zenith[time], sky.view_azimuth[time] % (2.0 * np.pi)], axis=1)[seen], 6)
     if len(np.unique(angles, axis=0)) < 3 or np.ptp(_angle_from_sun(sky, time)[seen]) < np.radians(10.0):
         yield "too few directions to tell the haze's amount from its phase function: sigmas hold for what is held fixed"
     wavelengths = sky.wavelength_nm[used[time].any(axis=0)]
@@ -181,7 +182,7 @@ def _extent(sky: Sky, used, time: int):
 
 
 def _cosine(sky: Sky, time: int):
-    return cosine_from_sun(sky.view_zenith, sky.view_azimuth, sky.sun_zenith[time], sky.sun_azimuth[time])
+    return cosine_from_sun(sky.view_zenith[time], sky.view_azimuth[time], *sky.sun_at(time))
 
 
 def _angle_from_sun(sky: Sky, time: int):

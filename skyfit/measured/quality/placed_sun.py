@@ -37,7 +37,7 @@ def misplaced_sun(sky: Sky, used: Bool[np.ndarray, "time direction wavelength"],
     if seen is None:
         return ""
     bright, zenith, azimuth = seen
-    sun = float(sky.sun_zenith[time]), float(sky.sun_azimuth[time])
+    sun = sky.sun_at(time)
     rest = _without_zenith(zenith)
     stated = _correlation(rest(_lobe(zenith, azimuth, *sun)), rest(bright))
     if stated >= _UNLIKELY:
@@ -104,7 +104,7 @@ def _brightness(sky: Sky, used, time: int):
     logs = np.where(at, np.log(np.where(at, sky.radiance[time][directions][:, wavelengths], 1.0)), 0.0)
     # of each wavelength its mean first, so that a gap in one direction does not pass for darkness
     logs = np.where(at, logs - logs.sum(axis=0) / at.sum(axis=0), 0.0)
-    return logs.sum(axis=1) / at.sum(axis=1), sky.view_zenith[directions], sky.view_azimuth[directions]
+    return logs.sum(axis=1) / at.sum(axis=1), sky.view_zenith[time, directions], sky.view_azimuth[time, directions]
 
 
 def _without_zenith(zenith):

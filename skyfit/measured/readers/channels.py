@@ -14,8 +14,8 @@ def read_response(path: str | os.PathLike) -> Response:
 
     **Arguments:** `path`: the first column is wavelength_nm, each other one a channel's weights: what its value is made
     of per W m^-2 sr^-1 nm^-1 and nm.
-    **Returns:** a `Response`; the channels in the order of the columns, which is that of the sky's wavelengths. Weights
-    are multiplied by the steps of the wavelengths (trapezoids), so that a sum over them is an integral.
+    **Returns:** a `Response` of the channels in the order of the columns, with their names. Weights are multiplied by
+    the steps of the wavelengths (trapezoids), so that a sum over them is an integral.
     **Valid:** 300-1100 nm, increasing; anything else is a one-line `ValueError` with the file's name.
     """
     path = Path(path)
@@ -29,6 +29,6 @@ def read_response(path: str | os.PathLike) -> Response:
     half = 0.5 * np.diff(wavelength)
     width = np.append(half, 0.0) + np.append(0.0, half)
     try:
-        return Response(wavelength, (numbers[:, 1:] * width[:, None]).T)
+        return Response(wavelength, (numbers[:, 1:] * width[:, None]).T, tuple(header[1:]))
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from None

@@ -1,6 +1,7 @@
 """Scattered samples onto the grid of times, directions and wavelengths."""
 
 import numpy as np
+from jaxtyping import Int
 
 
 class Axis:
@@ -19,6 +20,32 @@ class Axis:
     def values(self) -> list:
         """The different values, by position."""
         return list(self.positions)
+
+
+def by_time(
+    times: Int[np.ndarray, " sample"], directions: Int[np.ndarray, " sample"]
+) -> tuple[Int[np.ndarray, " sample"], Int[np.ndarray, "*axes"]]:
+    """Where samples lie on an axis of directions: that of all times, or of each time its own where they share few.
+
+    **Arguments** of each sample the indices of its time and of its direction among all.
+
+    **Returns** each sample's position, and which direction stands at each: `[direction]`, where a sample can be of any
+    time, or `[time, direction]`, -1 past the last one of a time, if half of the former or more would be empty.
+    """
+    count = int(directions.max()) + 1
+    pairs, first, sample = np.unique(times * count + directions, return_index=True, return_inverse=True)
+    own = pairs // count
+    longest = int(np.bincount(own).max())
+    if longest == count or 2 * pairs.size > count * (int(times.max()) + 1):
+        return directions, np.arange(count)
+    # in the order of their first appearance within the time
+    order = np.lexsort((first, own))
+    starts = np.searchsorted(own[order], np.arange(int(times.max()) + 1))
+    place = np.empty(pairs.size, int)
+    place[order] = np.arange(pairs.size) - starts[own[order]]
+    which = np.full((starts.size, longest), -1)
+    which[own, place] = pairs % count
+    return place[sample], which
 
 
 def fill(shape: tuple[int, int, int], places: np.ndarray, values: np.ndarray, absent: float) -> np.ndarray:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..response import Response
 from ..samples import Sky
 from ..units import IRRADIANCE, irradiance_factor, is_nanometre, is_radian, RADIANCE, radiance_factor
 from .screening import assemble, Contents
@@ -27,8 +28,11 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
 
     - `path`: NetCDF 4 (HDF5) or NetCDF 3; dimensions direction, wavelength and optionally time;
       variables `radiance`, optionally `sigma`, `suspect` (1 = masked), `direct_normal_irradiance` [time, wavelength]
-      and `direct_normal_irradiance_sigma`; coordinates `view_zenith`,
-      `view_azimuth`, `wavelength`; `sun_zenith` and `sun_azimuth`, or latitude, longitude and time
+      and `direct_normal_irradiance_sigma`; coordinates `view_zenith`, `view_azimuth` [direction] or [time, direction],
+      both NaN past the end of a shorter scan, `wavelength`; `sun_zenith` and `sun_azimuth` [time] or
+      [time, wavelength], or latitude, longitude and time. Channels of a camera or photometer: `channel` in place of
+      the dimension wavelength, `response` [channel, spectrum], `spectrum` (nm), optionally `channel` (names), and
+      `wavelength` [channel], what they are called; `radiance` is then in any unit, that of the response
     - `station`: numbers that stand instead of the file's own, by name
 
     **Returns** a `Sky`. `sun_azimuth_instrument`, where finite, stands before `sun_azimuth`.
@@ -38,22 +42,25 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
     """
     data = load_dataset(path)
     name = path.name
+    response, data = _response(name, data)
     _require(name, data)
-    radiance, factor, notes = _radiance(name, data)
+    radiance, factor, notes = _radiance(name, data, response)
     axes = radiance.dims
     shape = radiance.shape
     sigma = None
     if "sigma" in data:
-        units = data["sigma"].attrs.get("units")
+        units = None if response is not None else data["sigma"].attrs.get("units")
         sigma = _spread(name, data, "sigma", axes, radiance)
         sigma = sigma * (factor if units is None else _factor(name, "sigma", units))
     suspect = None
     if "suspect" in data:
         suspect = _spread(name, data, "suspect", axes, radiance) != 0.0
-    zenith, known = _angle(name, data, "view_zenith", ("direction",), shape[1])
-    azimuth, _ = _angle(name, data, "view_azimuth", ("direction",), shape[1])
-    sun_zenith, _ = _angle(name, data, "sun_zenith", ("time",), shape[0])
-    sun_azimuth, note = _sun_azimuth(name, data, shape[0])
+    zenith, known = _angle(name, data, "view_zenith", "direction", radiance)
+    azimuth, _ = _angle(name, data, "view_azimuth", "direction", radiance)
+    zenith, azimuth = _alike(zenith, azimuth, along=1)
+    sun_zenith, _ = _angle(name, data, "sun_zenith", "time", radiance)
+    sun_azimuth, note = _sun_azimuth(name, data, radiance)
+    sun_zenith, sun_azimuth = _alike(sun_zenith, sun_azimuth, along=0)
     notes += note
     direct, direct_sigma, converted = _beam(name, data, radiance)
     notes += converted
@@ -78,6 +85,7 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
             notes=_own_notes(data) + notes,
             angles_known=known,
             turned=bool(note),
+            response=response,
         )
     )
 
@@ -119,7 +127,28 @@ def _require(name, data):
             raise ValueError(f"{name}: expected variable `{key}`, found {', '.join(map(str, data.variables))}")
 
 
-def _radiance(name, data):
+def _response(name, data):
+    """The channels of a file, None without any, and the data with wavelength, what they are called, as their axis."""
+    if "response" not in data:
+        return None, data
+    variable = data["response"]
+    lacking = [key for key in ("spectrum", "wavelength") if key not in data]
+    if lacking or set(variable.dims) != {"channel", "spectrum"} or data["wavelength"].dims != ("channel",):
+        raise ValueError(
+            f"{name}: variable `response`: expected dimensions channel, spectrum, with `spectrum` and `wavelength` "
+            f"[channel] in nm, found {', '.join(map(str, variable.dims))}{''.join(f', no `{key}`' for key in lacking)}"
+        )
+    weight = _numbers(name, variable).transpose([variable.dims.index(axis) for axis in ("channel", "spectrum")])
+    names = tuple(map(str, data["channel"].values)) if "channel" in data.variables else ()
+    try:
+        response = Response(_numbers(name, data["spectrum"]), weight, names)
+    except ValueError as error:
+        raise ValueError(f"{name}: variable `response`: {error}") from None
+    data = data.drop_vars(["response", "spectrum", "channel"], errors="ignore")
+    return response, data.swap_dims(channel="wavelength")
+
+
+def _radiance(name, data, response):
     radiance = data["radiance"]
     extra = [axis for axis in radiance.dims if axis not in _AXES]
     if extra or "direction" not in radiance.dims or "wavelength" not in radiance.dims:
@@ -130,7 +159,7 @@ def _radiance(name, data):
     if 0 in radiance.shape:
         raise ValueError(f"{name}: variable `radiance`: expected samples, found {radiance.shape}")
     units = radiance.attrs.get("units")
-    factor = _factor(name, "radiance", units)
+    factor = 1.0 if response is not None else _factor(name, "radiance", units)
     notes = [] if factor == 1.0 else [f"radiance converted from {units} to {RADIANCE}"]
     if "time" not in radiance.dims:
         radiance = radiance.expand_dims("time")
@@ -185,33 +214,59 @@ def _spread(name, data, key, axes, radiance):
     return np.broadcast_to(numbers[index], radiance.shape).copy()
 
 
-def _angle(name, data, key, axes, length):
-    """An angle in degrees, and whether it was converted from radians; NaN where absent."""
+# dimensions that an angle may have, all of them, in the place of the one that it must have
+_OF_ANGLES = {"direction": ("time", "direction"), "time": ("time", "wavelength")}
+
+
+def _angle(name, data, key, along, radiance):
+    """An angle in degrees, along one dimension or all it may have, and whether it was in radians; NaN if absent."""
+    length = radiance.sizes[along]
     if key not in data:
         return np.full(length, np.nan), False
-    variable = data[key]
-    if variable.dims not in (axes, ()) or (variable.dims == () and axes == ("direction",)):
+    variable, axes = data[key], _OF_ANGLES[along]
+    if not set(variable.dims) <= set(axes) or (along == "direction" and along not in variable.dims):
         raise ValueError(
-            f"{name}: variable `{key}`: expected dimension {axes[0]}, "
+            f"{name}: variable `{key}`: expected dimension {along}{' or ' + ', '.join(axes) if len(axes) > 1 else ''}, "
             f"found {', '.join(map(str, variable.dims)) or 'none'}"
         )
     units = str(variable.attrs.get("units", ""))
     radian = is_radian(units)
     if radian is None:
         raise ValueError(f"{name}: variable `{key}`: expected units degree, found {units!r}")
-    numbers = np.broadcast_to(_numbers(name, variable), (length,)).copy()
+    sizes = dict(radiance.sizes)
+    if any(variable.sizes[axis] != sizes[axis] for axis in variable.dims):
+        raise ValueError(
+            f"{name}: variable `{key}`: expected dimensions of `radiance` {radiance.shape}, found {variable.shape}"
+        )
+    whole = (along,) if set(variable.dims) <= {along} else axes
+    kept = [axis for axis in whole if axis in variable.dims]
+    numbers = _numbers(name, variable).transpose([variable.dims.index(axis) for axis in kept])
+    numbers = numbers[tuple(slice(None) if axis in kept else None for axis in whole)]
+    numbers = np.broadcast_to(numbers, tuple(sizes[axis] for axis in whole)).copy()
     return (np.rad2deg(numbers) if radian else numbers), radian
 
 
-def _sun_azimuth(name, data, length):
-    azimuth, _ = _angle(name, data, "sun_azimuth", ("time",), length)
-    own, _ = _angle(name, data, "sun_azimuth_instrument", ("time",), length)
+def _alike(one, other, along):
+    """Two angles in one shape; `along`: the axis, of two, of the one that has only one."""
+    if one.ndim == other.ndim:
+        return one, other
+    shape = max(one.shape, other.shape, key=len)
+    return tuple(
+        angle if angle.ndim == 2 else np.broadcast_to(np.expand_dims(angle, 1 - along), shape).copy()
+        for angle in (one, other)
+    )
+
+
+def _sun_azimuth(name, data, radiance):
+    azimuth, _ = _angle(name, data, "sun_azimuth", "time", radiance)
+    own, _ = _angle(name, data, "sun_azimuth_instrument", "time", radiance)
+    azimuth, own = _alike(azimuth, own, along=0)
     finite = np.isfinite(own)
     if not np.any(finite):
         return azimuth, []
     notes = ["sun azimuth from sun_azimuth_instrument"]
     if not np.all(finite):
-        lacking = ", ".join(str(index) for index in np.flatnonzero(~finite))
+        lacking = ", ".join(str(index) for index in np.flatnonzero(~finite.reshape(len(finite), -1).all(axis=1)))
         notes = [f"{notes[0]}, except times {lacking}"]
     return np.where(finite, own, azimuth), notes
 
@@ -291,32 +346,51 @@ def write_netcdf(sky: Sky, path: Path) -> None:
     """
     import xarray
 
+    whole = axes(sky)
+    of_sun = whole[::2][: sky.sun_zenith.ndim]
+    light = (
+        {"units": RADIANCE, "long_name": "spectral radiance"}
+        if sky.response is None
+        else {"long_name": "reading of the channel, the sum of response times spectral radiance"}
+    )
     variables = {
-        "radiance": (_AXES, sky.radiance, {"units": RADIANCE, "long_name": "spectral radiance"}),
-        "suspect": (_AXES, (~sky.usable).astype(np.int8), {"long_name": "1 where masked"}),
-        "sun_zenith": ("time", degrees(sky.sun_zenith), {"units": "degree"}),
-        "sun_azimuth": ("time", degrees(sky.sun_azimuth), {"units": "degree"}),
+        "radiance": (whole, sky.radiance, light),
+        "suspect": (whole, (~sky.usable).astype(np.int8), {"long_name": "1 where masked"}),
+        "sun_zenith": (of_sun, degrees(sky.sun_zenith), {"units": "degree"}),
+        "sun_azimuth": (of_sun, degrees(sky.sun_azimuth), {"units": "degree"}),
     }
     if sky.sigma is not None:
-        variables["sigma"] = (_AXES, sky.sigma, {"units": RADIANCE, "long_name": "standard deviation of radiance"})
+        variables["sigma"] = (whole, sky.sigma, light | {"long_name": "standard deviation of radiance"})
     if sky.direct_irradiance is not None:
         about = {"units": IRRADIANCE, "long_name": "irradiance of the sun's beam on a plane normal to it"}
-        variables[_BEAM] = (("time", "wavelength"), sky.direct_irradiance, about)
+        variables[_BEAM] = (whole[::2], sky.direct_irradiance, about)
     if sky.direct_sigma is not None:
         about = {"units": IRRADIANCE, "long_name": f"standard deviation of {_BEAM}"}
-        variables[f"{_BEAM}_sigma"] = (("time", "wavelength"), sky.direct_sigma, about)
+        variables[f"{_BEAM}_sigma"] = (whole[::2], sky.direct_sigma, about)
     clockwise = {"units": "degree", "comment": "clockwise from north"}
+    views = [degrees(view[0] if sky.one_pattern else view) for view in (sky.view_zenith, sky.view_azimuth)]
+    of_views = ("time", "direction")[-views[0].ndim :]
     coordinates = {
-        "wavelength": ("wavelength", sky.wavelength_nm, {"units": "nm"}),
-        "view_zenith": ("direction", degrees(sky.view_zenith), {"units": "degree"}),
-        "view_azimuth": ("direction", degrees(sky.view_azimuth), clockwise),
+        "wavelength": (whole[2], sky.wavelength_nm, {"units": "nm"}),
+        "view_zenith": (of_views, views[0], {"units": "degree"}),
+        "view_azimuth": (of_views, views[1], clockwise),
         "time": ("time", sky.time),
     }
+    if sky.response is not None:
+        about = {"long_name": f"weights of spectral radiance in {RADIANCE}, widths of the spectrum's steps included"}
+        variables["response"] = (("channel", "spectrum"), sky.response.weight, about)
+        coordinates["spectrum"] = ("spectrum", sky.response.wavelength_nm, {"units": "nm"})
+        coordinates["channel"] = ("channel", np.array(sky.response.names, object))
     data = xarray.Dataset(variables, coordinates, attributes(sky))
     if sky.notes:
         data.attrs["notes"] = "\n".join(sky.notes)
     encoding = {name: {"zlib": True} for name in ("radiance", "suspect")}
     data.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+
+
+def axes(sky: Sky) -> tuple[str, str, str]:
+    """The dimensions of a sky's samples in a file."""
+    return _AXES if sky.response is None else (*_AXES[:2], "channel")
 
 
 def degrees(radians: np.ndarray) -> np.ndarray:

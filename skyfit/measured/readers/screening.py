@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..quality.sun_agreement import sun_agreement
+from ..response import Response
 from ..samples import Sky, STATION_RANGES
 from ..solar_position import solar_position
 
@@ -25,11 +26,13 @@ _LONGEST_NM = 2600.0
 class Contents:
     """What a reader found: file units (degrees), before any screening.
 
-    **Arguments** arrays as in `Sky`, angles in degrees; `station` holds numbers by the names
-    latitude, longitude, altitude_m, pressure_pa, fwhm_nm; `suspect` is True where masked;
-    `rows`: axis -> the row where each of its values first stands, for errors; `angles_known`: the
-    file said radians, so that no small angle is suspicious; `turned`: azimuths are in the instrument's own frame.
-    `direct`, `direct_sigma`: irradiance of the sun's beam and its standard deviation, W m^-2 nm^-1, [time, wavelength].
+    **Arguments** arrays as in `Sky`, angles in degrees; views may be NaN where a time has no samples; `station` holds
+    numbers by the names latitude, longitude, altitude_m, pressure_pa, fwhm_nm; `suspect` is True where masked;
+    `rows`: axis -> the row where each of its values first stands, for errors ("direction": in the shape of the views,
+    "sun": of the sun's angles, if not that of "time");
+    `angles_known`: the file said radians, so that no small angle is suspicious; `turned`: azimuths are in the
+    instrument's own frame. `direct`, `direct_sigma`: irradiance of the sun's beam and its standard deviation,
+    W m^-2 nm^-1, [time, wavelength]. `response`: of the channels that stand in the place of wavelengths.
     """
 
     name: str
@@ -49,7 +52,8 @@ class Contents:
     notes: list[str] = field(default_factory=list)
     angles_known: bool = False
     turned: bool = False
-    rows: dict[str, list[int]] = field(default_factory=dict)
+    response: Response | None = None
+    rows: dict[str, list] = field(default_factory=dict)
 
 
 def assemble(found: Contents) -> Sky:
@@ -68,9 +72,9 @@ def assemble(found: Contents) -> Sky:
     radiance = found.radiance[..., order]
     sigma = None if found.sigma is None else found.sigma[..., order]
     suspect = None if found.suspect is None else found.suspect[..., order]
-    radiance, usable, masked = screen(radiance, sigma, suspect, zenith, found.saturation)
+    radiance, usable, masked = screen(radiance, sigma, suspect, zenith, found.saturation, _signed(found.response))
     direct, direct_sigma = _check_beam(found, order)
-    sun_zenith, sun_azimuth = _place_sun(found)
+    sun_zenith, sun_azimuth = _place_sun(found, order)
     found.notes += _small_angles(found, zenith, azimuth, sun_zenith, sun_azimuth)
     station = found.station
     try:
@@ -89,6 +93,7 @@ def assemble(found: Contents) -> Sky:
             altitude_m=station.get("altitude_m", np.nan),
             pressure_pa=station.get("pressure_pa", np.nan),
             fwhm_nm=station.get("fwhm_nm", np.nan),
+            response=found.response,
             direct_irradiance=direct,
             direct_sigma=direct_sigma,
             masked=masked,
@@ -106,7 +111,7 @@ def _check_beam(found, order):
         return None, None
     direct = np.array(found.direct[:, order], dtype=np.float64)
     beam = np.isfinite(direct) & (direct >= 0.0) & (direct < _FILL)
-    if np.any(beam & (direct > _BRIGHTEST_BEAM)):
+    if found.response is None and np.any(beam & (direct > _BRIGHTEST_BEAM)):
         raise ValueError(
             f"{found.name}: variable `direct_normal_irradiance`: expected {_BRIGHTEST_BEAM:g} W m-2 nm-1 at most, "
             f"found {np.max(direct[beam]):g}; is this mW, or per um?"
@@ -117,27 +122,33 @@ def _check_beam(found, order):
     return np.where(beam, direct, np.nan), None if found.direct_sigma is None else found.direct_sigma[:, order]
 
 
+def _signed(response):
+    """Whether the channels may read less than nothing: red, green and blue of a colour that no screen shows."""
+    return response is not None and bool(np.any(response.weight < 0.0))
+
+
 def screen(
     radiance: np.ndarray,
     sigma: np.ndarray | None,
     suspect: np.ndarray | None,
     view_zenith_deg: np.ndarray,
     saturation: float | None = None,
+    signed: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, dict[str, int]]:
     """Mask the samples that must not be used, and count them by the first reason that holds.
 
-    **Arguments** arrays [time, direction, wavelength]; `view_zenith_deg` [direction];
-    `saturation`: the radiance at which the detector saturates, if known.
+    **Arguments** arrays [time, direction, wavelength]; `view_zenith_deg` [direction] or [time, direction];
+    `saturation`: the radiance at which the detector saturates, if known; `signed`: less than 0 is no error.
 
     **Returns** radiance with NaN where not finite, `usable`, and the counts.
     """
     radiance = np.array(radiance, dtype=np.float64)
-    below = np.broadcast_to((view_zenith_deg > 90.0)[:, None], radiance.shape)
+    below = np.broadcast_to((view_zenith_deg > 90.0)[..., None], radiance.shape)
     with np.errstate(invalid="ignore"):
         reasons = {
             "missing": np.isnan(radiance) | (np.isfinite(radiance) & (radiance > _FILL)),
             "infinite": np.isinf(radiance),
-            "negative": radiance < 0.0,
+            "negative": (radiance < 0.0) & (not signed),
             "below horizon": below,
             "saturated": _saturated(radiance, saturation),
         }
@@ -180,6 +191,8 @@ def check_angles(name: str, zenith: np.ndarray, azimuth: np.ndarray, known: bool
 
     **Valid** certain only for a scan: more than three directions, none past 1.6.
     """
+    known_ones = np.isfinite(zenith) & np.isfinite(azimuth)
+    zenith, azimuth = zenith[known_ones], azimuth[known_ones]
     directions = len(set(zip(zenith.tolist(), azimuth.tolist(), strict=True)))
     if not known and directions > 3 and 0.0 < np.max(zenith) <= _RADIAN_LIMIT:
         raise ValueError(
@@ -192,13 +205,17 @@ def _check_directions(found):
     zenith, azimuth = found.view_zenith.astype(np.float64), found.view_azimuth.astype(np.float64)
     # At the zenith an azimuth means nothing, and files leave it out.
     azimuth = np.where(np.isnan(azimuth) & (zenith == 0.0), 0.0, azimuth)
+    absent = np.zeros(zenith.shape, bool)
+    if zenith.ndim == 2:
+        # a scan that is shorter than the longest
+        absent = np.isnan(zenith) & np.isnan(azimuth) & np.isnan(found.radiance).all(axis=2)
     for column, values, low, high in (
         ("view_zenith", zenith, 0.0, 180.0),
         ("view_azimuth", azimuth, -360.0, 720.0),
     ):
-        wrong = ~((values >= low) & (values <= high))
-        if np.any(wrong):
-            index = int(np.argmax(wrong))
+        wrong = np.argwhere(~((values >= low) & (values <= high) | absent))
+        if wrong.size:
+            index = tuple(wrong[0])
             raise ValueError(
                 f"{found.name}: {_row(found, 'direction', index)}, column `{column}`: "
                 f"expected degrees in [{low:g}, {high:g}], found {values[index]:g}"
@@ -208,8 +225,11 @@ def _check_directions(found):
 
 
 def _row(found, axis, index):
-    rows = found.rows.get(axis)
-    return f"{axis} {index}" if rows is None else f"row {rows[index]}"
+    """Where the value of an index first stands: a row of the file, or the index, after that of its time."""
+    rows, index = found.rows.get(axis), np.atleast_1d(index)
+    if rows is not None:
+        return f"row {np.asarray(rows)[tuple(index)]}"
+    return "".join(f"time {time}, " for time in index[:-1]) + f"{axis} {index[-1]}"
 
 
 def _check_wavelengths(found):
@@ -227,10 +247,12 @@ def _check_wavelengths(found):
         raise ValueError(f"{start} nm, found none past {np.max(wavelength):g}; are these {unit}?")
     if np.min(wavelength) > _LONGEST_NM:
         raise ValueError(f"{start} nm, found none below {np.min(wavelength):g}; are these angstrom?")
-    order = np.argsort(wavelength, kind="stable")
-    same = np.flatnonzero(np.diff(wavelength[order]) == 0.0)
+    # channels stand in the order of their response
+    order = np.argsort(wavelength, kind="stable") if found.response is None else np.arange(len(wavelength))
+    by_size = np.argsort(wavelength, kind="stable")
+    same = np.flatnonzero(np.diff(wavelength[by_size]) == 0.0)
     if same.size:
-        first, second = order[same[0]], order[same[0] + 1]
+        first, second = by_size[same[0]], by_size[same[0] + 1]
         raise ValueError(f"{start} different values, found {wavelength[first]:g} nm at positions {first} and {second}")
     return wavelength[order], order
 
@@ -256,21 +278,25 @@ def _check_station(name, station):
             raise ValueError(f"{name}: `{key}`: expected {low:g} to {high:g} {unit}, found {value:g}")
 
 
-def _place_sun(found):
-    """Zenith and azimuth in degrees: the file's where finite, else from time and place."""
+def _place_sun(found, order):
+    """Zenith and azimuth in degrees, by increasing wavelength: the file's where finite, else from time and place."""
     zenith, azimuth = found.sun_zenith.astype(np.float64), found.sun_azimuth.astype(np.float64)
     for column, values, low, high in (
         ("sun_zenith", zenith, 0.0, 180.0),
         ("sun_azimuth", azimuth, -360.0, 720.0),
     ):
-        wrong = np.isinf(values) | (values < low) | (values > high)
-        if np.any(wrong):
-            index = int(np.argmax(wrong))
+        wrong = np.argwhere(np.isinf(values) | (values < low) | (values > high))
+        if wrong.size:
+            index = tuple(wrong[0])
+            place = _row(found, "sun", index) if "sun" in found.rows else _row(found, "time", index[0])
             raise ValueError(
-                f"{found.name}: {_row(found, 'time', index)}, column `{column}`: "
-                f"expected degrees in [{low:g}, {high:g}], found {values[index]:g}"
+                f"{found.name}: {place}, column `{column}`: expected degrees in [{low:g}, {high:g}], "
+                f"found {values[index]:g}"
             )
-    without = ~(np.isfinite(zenith) & np.isfinite(azimuth))
+    if zenith.ndim == 2:
+        zenith, azimuth = _without_holes(zenith[:, order]), _without_holes(azimuth[:, order], turns=True)
+    middle = (zenith, azimuth) if zenith.ndim == 1 else (zenith.mean(axis=1), _mean_azimuth(azimuth))
+    without = ~(np.isfinite(middle[0]) & np.isfinite(middle[1]))
     station = found.station
     if np.any(without):
         lacks = [key for key in ("latitude", "longitude") if key not in station]
@@ -289,7 +315,8 @@ def _place_sun(found):
             station.get("pressure_pa"),
         )
         for values, filled in zip((zenith, azimuth), computed, strict=True):
-            values[without] = np.where(np.isfinite(values[without]), values[without], np.rad2deg(filled))
+            filled = np.rad2deg(filled).reshape(-1, *[1] * (values.ndim - 1))
+            values[without] = np.where(np.isfinite(values[without]), values[without], filled)
         found.notes.append(
             f"sun position of {int(np.sum(without))} of {len(without)} times computed (pvlib, "
             "apparent zenith with refraction)"
@@ -297,6 +324,24 @@ def _place_sun(found):
     stated = ~without & ~np.isnat(found.time)
     if np.any(stated) and "latitude" in station and "longitude" in station:
         place = float(station["latitude"]), float(station["longitude"])
-        sentence = sun_agreement(zenith[stated], azimuth[stated], found.time[stated], *place, found.turned)
+        sentence = sun_agreement(middle[0][stated], middle[1][stated], found.time[stated], *place, found.turned)
         found.notes += [sentence] if sentence else []
     return zenith, azimuth % 360.0
+
+
+def _without_holes(angles, turns=False):
+    """The sun's angles of each time, `[time, wavelength]`, with their mean where a wavelength has none."""
+    known = np.isfinite(angles)
+    if turns:
+        mean = _mean_azimuth(angles)
+    else:
+        mean = np.where(known, angles, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    return np.where(known | ~known.any(axis=1, keepdims=True), angles, mean[:, None])
+
+
+def _mean_azimuth(angles):
+    """Of those of each time that are known, degrees, also on both sides of north; NaN where none is."""
+    known = np.isfinite(angles)
+    turned = np.exp(1j * np.deg2rad(np.where(known, angles, 0.0)))
+    mean = np.rad2deg(np.angle(np.where(known, turned, 0.0).sum(axis=1))) % 360.0
+    return np.where(known.any(axis=1), mean, np.nan)

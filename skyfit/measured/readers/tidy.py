@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from ..samples import Sky
 from ..units import RADIANCE, radiance_factor
-from .grid import Axis, fill, repeated
+from .grid import Axis, by_time, fill, repeated
 from .netcdf import attributes, degrees
 from .screening import assemble, check_angles, Contents
 
@@ -35,10 +35,10 @@ _STATION = {
     "pressure_pa": "pressure_pa",
     "fwhm_nm": "fwhm_nm",
 }
-# Per row these say one thing per time, or one for the whole file.
-_PER_TIME = ("sun_zenith", "sun_azimuth")
+# Per row these say one thing per file
 _PER_FILE = ("latitude", "longitude")
 # and these one thing per time and wavelength
+_SUN = ("sun_zenith", "sun_azimuth")
 _BEAM = ("direct_normal_irradiance", "direct_normal_irradiance_sigma")
 # A grid this large and this empty comes from samples that share no grid.
 _LARGEST_GRID = 20_000_000
@@ -53,13 +53,14 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
     **Arguments**
 
     - `path`: columns view_zenith, view_azimuth (degrees), wavelength (nm), radiance
-      (W m^-2 sr^-1 nm^-1), optionally time (ISO, UTC), sigma, suspect (1 = masked), sun_zenith,
-      sun_azimuth, latitude, longitude, direct_normal_irradiance and direct_normal_irradiance_sigma (W m^-2 nm^-1, the
-      same in all rows of a time and wavelength); lines `# key: value` above carry latitude, longitude,
+      (W m^-2 sr^-1 nm^-1), optionally time (ISO, UTC), sigma, suspect (1 = masked), latitude, longitude and, the same
+      in all rows of a time and wavelength, sun_zenith, sun_azimuth, direct_normal_irradiance and
+      direct_normal_irradiance_sigma (W m^-2 nm^-1); lines `# key: value` above carry latitude, longitude,
       altitude_m, pressure_pa, fwhm_nm, saturation, units
     - `station`: numbers that stand instead of the file's own, by name
 
-    **Returns** a `Sky`; directions are the union over times, with masked samples where absent.
+    **Returns** a `Sky`; directions are the union over times, with masked samples where absent, or those of each time
+    where that would leave half of the union or more without samples: of an almucantar, which moves with the sun.
 
     **Valid** a sample given twice, or text where a number belongs, is a `ValueError` with its row.
     """
@@ -85,7 +86,10 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
             [wavelengths.place(value) for value in number["wavelength"].tolist()],
         ]
     )
-    shape = (len(times), len(directions), len(wavelengths))
+    views = np.array(directions.values())
+    which = index[1].copy()
+    index[1], view = by_time(index[0], which)
+    shape = (len(times), view.shape[-1], len(wavelengths))
     _check_grid(name, shape, len(lines))
     twice = repeated(shape, index)
     if twice is not None:
@@ -94,29 +98,30 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
             "and wavelength once, found the same sample twice"
         )
     numbers, factor, saturation, notes = _header_numbers(name, comments)
-    sun = {key: np.full(len(times), np.nan) for key in _PER_TIME}
-    for key in _PER_TIME:
-        if key in number:
-            sun[key] = _shared(name, lines, key, number[key], index[0], "time")
+    sun, sun_rows = _sun(name, lines, number, index, shape)
     for key in _PER_FILE:
         if key in number:
             place = _shared(name, lines, key, number[key], np.zeros_like(index[0]), "file")
             if np.isfinite(place[0]):
                 numbers[key] = float(place[0])
-    beam = [_beam(name, lines, key, number, index, shape) for key in _BEAM]
+    beam = [_per_band(name, lines, key, number, index, shape) for key in _BEAM]
     numbers.update(station)
     unused = [key for key in header if key not in number and key != "time"]
     if unused:
         notes.append("columns not used: " + ", ".join(unused))
-    zenith, azimuth = np.array(directions.values()).T
     time = np.array(times.values(), dtype=np.int64).view("datetime64[ns]")
     order = np.argsort(time, kind="stable")
 
     first = {
-        axis: np.array(lines)[np.unique(places, return_index=True)[1]].tolist()
-        for axis, places in zip(("time", "direction", "wavelength"), index, strict=True)
+        axis: np.array(lines)[np.unique(places, return_index=True)[1]]
+        for axis, places in zip(("time", "direction", "wavelength"), (index[0], which, index[2]), strict=True)
     }
-    first["time"] = [first["time"][place] for place in order]
+    if sun_rows is not None:
+        first["sun"] = sun_rows[order]
+    first["time"], view = first["time"][order], view if view.ndim == 1 else view[order]
+    # by a direction's first appearance at any time, which is where its angles are wrong first
+    first["direction"] = first["direction"][view]
+    zenith, azimuth = (np.where(view < 0, np.nan, angle[view]) for angle in views.T)
 
     def gridded(key, absent):
         return fill(shape, index, number[key], absent)[order]
@@ -133,12 +138,12 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
             view_azimuth=azimuth,
             wavelength=np.array(wavelengths.values()),
             time=time[order],
-            sun_zenith=sun["sun_zenith"][order],
-            sun_azimuth=sun["sun_azimuth"][order],
+            sun_zenith=sun[0][order],
+            sun_azimuth=sun[1][order],
             station=numbers,
             saturation=None if saturation is None else saturation * factor,
             notes=notes,
-            rows=first,
+            rows={axis: rows.tolist() for axis, rows in first.items()},
         )
     )
 
@@ -301,8 +306,21 @@ def _shared(name, lines, key, values, group, scope):
     return values[first]
 
 
-def _beam(name, lines, key, number, index, shape):
-    """A column of the sun's beam, [time, wavelength], NaN where the table has no row; None where it is absent."""
+def _sun(name, lines, number, index, shape):
+    """The sun's angles, `[time]`, or `[time, wavelength]` where it moves, NaN in holes, and then the rows of each."""
+    grids = [_per_band(name, lines, key, number, index, shape) for key in _SUN]
+    grids = [np.full(shape[::2], np.nan) if grid is None else grid for grid in grids]
+    known = [~np.isnan(grid) for grid in grids]
+    first = [grid[np.arange(shape[0]), there.argmax(axis=1)] for grid, there in zip(grids, known, strict=True)]
+    if all(np.all((g == f[:, None]) | ~k) for g, f, k in zip(grids, first, known, strict=True)):
+        return first, None
+    rows = np.zeros(shape[::2], int)
+    rows[index[0][::-1], index[2][::-1]] = lines[::-1]
+    return grids, rows
+
+
+def _per_band(name, lines, key, number, index, shape):
+    """A column of one number per time and wavelength, of such axes, NaN where the table has no row; None if absent."""
     if key not in number:
         return None
     places, group = np.unique(index[0] * shape[2] + index[2], return_inverse=True)
@@ -351,19 +369,25 @@ def write_tidy(sky: Sky, path: Path) -> None:
 
     **Valid** times that are known and differ, unless there is one; directions that differ.
     """
+    if sky.response is not None:
+        raise ValueError("a CSV has no place for the response of channels: write NetCDF")
     timed = not (len(sky.time) == 1 and np.isnat(sky.time[0]))
     if timed and (np.any(np.isnat(sky.time)) or len(np.unique(sky.time)) < len(sky.time)):
         raise ValueError("a CSV tells times apart by `time`: expected all to be known and to differ; write NetCDF")
-    zenith, azimuth = degrees(sky.view_zenith).tolist(), degrees(sky.view_azimuth).tolist()
-    if len(set(zip(zenith, azimuth, strict=True))) < len(zenith):
-        raise ValueError(
-            "a CSV tells directions apart by `view_zenith` and `view_azimuth`: expected all to differ; write NetCDF"
-        )
+    views = np.stack([degrees(sky.view_zenith), degrees(sky.view_azimuth)], axis=2)
+    there = np.asarray(np.isfinite(views).all(axis=2))
+    for pattern, known in zip(views[:1] if sky.one_pattern else views, there, strict=False):
+        if len(np.unique(pattern[known], axis=0)) < known.sum():
+            raise ValueError(
+                "a CSV tells directions apart by `view_zenith` and `view_azimuth`: expected all to differ; write NetCDF"
+            )
     header = (["time"] if timed else []) + list(_REQUIRED)
-    header += (["sigma"] if sky.sigma is not None else []) + ["suspect", *_PER_TIME]
+    header += (["sigma"] if sky.sigma is not None else []) + ["suspect", *_SUN]
     beam = [values for values in (sky.direct_irradiance, sky.direct_sigma) if values is not None]
     header += _BEAM[: len(beam)]
-    sun_zenith, sun_azimuth = degrees(sky.sun_zenith).tolist(), degrees(sky.sun_azimuth).tolist()
+    grid = sky.radiance.shape[::2]
+    sun = [degrees(angle).reshape(len(angle), -1) for angle in (sky.sun_zenith, sky.sun_azimuth)]
+    sun = [np.broadcast_to(angle, grid).tolist() for angle in sun]
     wavelengths = sky.wavelength_nm.tolist()
     with open(path, "w", encoding="utf-8", newline="") as stream:
         for key, value in attributes(sky).items():
@@ -375,14 +399,15 @@ def write_tidy(sky: Sky, path: Path) -> None:
         writer.writerow(header)
         for time, moment in enumerate(sky.time):
             start = [_iso(moment)] if timed else []
-            for direction, angles in enumerate(zip(zenith, azimuth, strict=True)):
+            for direction in np.flatnonzero(there[time]):
+                angles = views[time, direction].tolist()
                 rows = sky.radiance[time, direction].tolist()
                 sigma = None if sky.sigma is None else sky.sigma[time, direction].tolist()
                 masked = (~sky.usable[time, direction]).astype(int).tolist()
                 for place, wavelength in enumerate(wavelengths):
                     row = [*start, *angles, wavelength, _cell(rows[place])]
                     row += [] if sigma is None else [_cell(sigma[place])]
-                    row += [masked[place], sun_zenith[time], sun_azimuth[time]]
+                    row += [masked[place], sun[0][time][place], sun[1][time][place]]
                     writer.writerow([*row, *(_cell(float(values[time, place])) for values in beam)])
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...atmosphere import from_description
+from ...measured import Response
 from ...retrieve import Fitted, PARAMETERS, SkyModel, values_of, with_values
 from ...transport import AbstractSolver, SOLVERS
 from .schema import parse, shown
@@ -32,15 +33,29 @@ def rebuilt(record: dict) -> Fitted:
         models.append(_with(model, entry["parameters"]))
     width = record["instrument"]["fwhm_nm"]
     stamps = np.array([_stamp(entry["time"], t) for t, entry in enumerate(times)], "datetime64[ns]")
-    fitted_nm, calibration = _calibration(record["calibration"], len(times))
+    response = _response(record["instrument"]["response"])
+    fitted_nm, calibration = _calibration(record["calibration"], len(times), response is not None)
     width = float("nan") if width is None else float(width)
-    return Fitted(stamps, tuple(models), _solver(record), width, fitted_nm, calibration)
+    return Fitted(stamps, tuple(models), _solver(record), width, fitted_nm, calibration, response)
 
 
-def _calibration(about: dict, times: int):
-    """The fitted wavelengths and the instrument's scale, `[time, wavelength]`."""
+def _response(about: dict | None) -> Response | None:
+    if about is None:
+        return None
+    try:
+        rows = [about["wavelength_nm"], *about["weight"]]
+        if not all(isinstance(value, int | float) for row in rows for value in row):
+            raise ValueError("found something else than numbers")
+        return Response(np.array(rows[0], float), np.array(rows[1:], float), tuple(about.get("names", ())))
+    except (KeyError, TypeError, ValueError) as error:
+        expected = "wavelength_nm and weight [channel][wavelength]"
+        raise ValueError(f"key `instrument.response`: expected {expected} ({error})") from None
+
+
+def _calibration(about: dict, times: int, channels: bool):
+    """The fitted wavelengths, or what channels are called, and the instrument's scale, `[time, wavelength]`."""
     wavelength, rows = np.array(about["wavelength_nm"], float), about["scale"]
-    if wavelength.size == 0 or not np.all(np.diff(wavelength) > 0.0):
+    if wavelength.size == 0 or not (channels or np.all(np.diff(wavelength) > 0.0)):
         raise ValueError(
             f"key `calibration.wavelength_nm`: expected nm, increasing, found {shown(wavelength.tolist())}"
         )

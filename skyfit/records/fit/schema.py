@@ -10,7 +10,7 @@ r"""The form of a fit's JSON record, and the check that a file has it.
     geometry              "flat" or "spherical", that of the solver
     instrument
       fwhm_nm             Gaussian line shape, null for none
-      response            null, or wavelength_nm and weight [channel][wavelength]: the samples are channels
+      response            null, or names, wavelength_nm and weight [channel][wavelength]: the samples are channels
     station               latitude_deg, longitude_deg, altitude_m, pressure_pa; null where unknown
     atmosphere            where the fit began, as skyfit/atmosphere/description.py documents: constituents by name with
                           kind and every number, and ground; what is free has its first guess here
@@ -29,7 +29,7 @@ r"""The form of a fit's JSON record, and the check that a file has it.
       scale, sigma        [time][wavelength], of one row where all times share it
     times                 one entry a time
       time                ISO 8601 in UTC, or null
-      sun_zenith_deg, sun_azimuth_deg
+      sun_zenith_deg, sun_azimuth_deg                   the mean, where they differ between wavelengths
       parameters          those of this time alone, as in shared; sigma holds model_sigma, the model's error
       correlation         [parameter][parameter] of all that are free
       haze                name: {value, sigma, unit} of what skyfit.haze_optics says follows from the parameters

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...atmosphere import describe
 from ...measured import atomic, Sky, write_sky
-from ...measured.readers.netcdf import degrees, write_netcdf
+from ...measured.readers.netcdf import axes, degrees, write_netcdf
 from ...measured.units import RADIANCE
 from ...measured.writing import skyfit_version
 from ...retrieve import Derived, Fit, haze_optics, PARAMETERS
@@ -64,7 +64,9 @@ def record_of(fit: Fit) -> dict:
 
 def _response(fit: Fit) -> dict | None:
     response = fit.response
-    return None if response is None else {"wavelength_nm": response.wavelength_nm, "weight": response.weight}
+    if response is None:
+        return None
+    return {"names": response.names, "wavelength_nm": response.wavelength_nm, "weight": response.weight}
 
 
 def _scale_unit(name: str) -> str:
@@ -93,14 +95,15 @@ def _parameters(fit: Fit, t: int, places: list[int]) -> dict:
 
 def _time_record(fit: Fit, t: int, optics: dict[str, Derived]) -> dict:
     sky = fit.sky
+    sun = degrees(np.array(sky.sun_at(t)))
     masked = dict(sky.at(t).masked)
     left_out = int(np.sum(sky.usable[t] & ~fit.used[t]))
     if left_out:
         masked["not modelled"] = left_out
     return {
         "time": _iso(sky.time[t]),
-        "sun_zenith_deg": degrees(sky.sun_zenith)[t],
-        "sun_azimuth_deg": degrees(sky.sun_azimuth)[t],
+        "sun_zenith_deg": sun[0],
+        "sun_azimuth_deg": sun[1],
         "parameters": _parameters(fit, t, [p for p, name in enumerate(fit.free) if name not in fit.shared]),
         "correlation": fit.correlation[t],
         "haze": {n: {"value": d.value[t], "sigma": d.sigma[t], "unit": d.unit} for n, d in optics.items()},
@@ -120,10 +123,11 @@ def _time_record(fit: Fit, t: int, optics: dict[str, Derived]) -> dict:
 
 def _rejected(fit: Fit, t: int) -> list[dict]:
     sky, weight = fit.sky, fit.weight[t]
+    zenith, azimuth = degrees(sky.view_zenith[t]), degrees(sky.view_azimuth[t])
     return [
         {
-            "view_zenith_deg": degrees(sky.view_zenith)[d],
-            "view_azimuth_deg": degrees(sky.view_azimuth)[d],
+            "view_zenith_deg": zenith[d],
+            "view_azimuth_deg": azimuth[d],
             "weight": np.nanmean(weight[d]),
         }
         for d in np.flatnonzero(fit.rejected[t])
@@ -166,8 +170,8 @@ def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) ->
     radiance = np.asarray(radiance, np.float64)
     if radiance.shape != sky.radiance.shape:
         raise ValueError(f"`radiance` must have the shape {sky.radiance.shape} of `sky`, got {radiance.shape}")
-    seen = (sky.view_zenith <= 0.5 * np.pi)[None, :, None]
-    usable = np.isfinite(radiance) & (radiance >= 0.0) & seen
+    seen = (sky.view_zenith <= 0.5 * np.pi)[..., None]
+    usable = np.isfinite(radiance) & seen & ((radiance >= 0.0) | (sky.response is not None))
     notes = (f"predicted by skyfit for the samples of {sky.source}",)
     predicted = {"radiance": radiance, "sigma": None, "usable": usable, "direct_irradiance": None, "direct_sigma": None}
     write_sky(replace(sky, **predicted, masked={}, notes=notes), path)
@@ -176,11 +180,12 @@ def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) ->
 def _write_field(fit: Fit, part: Path) -> None:
     import xarray
 
-    everywhere, fitted = ("time", "direction", "wavelength"), ("time", "direction", "fitted_wavelength")
+    everywhere, fitted = axes(fit.sky), ("time", "direction", "fitted_wavelength")
     residual = np.where(fit.used, fit.residual, np.nan)
+    unit = {"units": RADIANCE} if fit.sky.response is None else {}
     variables: dict[str, tuple] = {
-        "model": (everywhere, fit.model, {"units": RADIANCE, "long_name": "fitted spectral radiance"}),
-        "residual": (everywhere, residual, {"units": RADIANCE, "long_name": "model minus radiance where it was used"}),
+        "model": (everywhere, fit.model, unit | {"long_name": "fitted spectral radiance"}),
+        "residual": (everywhere, residual, unit | {"long_name": "model minus radiance where it was used"}),
         "weight": (fitted, fit.weight, {"units": "1", "long_name": "trust of the loss in the sample"}),
     }
     coordinates = {"fitted_wavelength": ("fitted_wavelength", fit.fitted_nm, {"units": "nm"})}
