@@ -64,6 +64,7 @@ def simulate(
     As solver.radiance(atmosphere, scene) in Python, here by OrdersOfScattering.normal(polarised=True) where no option
     says otherwise, and in float64; Python computes in the precision of its process, float32 where nobody asks for more.
     """
+    import jax
     import numpy as np
 
     from ..atmosphere import HenyeyGreenstein, turbidity_to_optical_depth
@@ -71,6 +72,7 @@ def simulate(
     from ..scene import Directions, hemisphere, Scene
     from .models import in_words, make_atmosphere, make_solver, precision, turbidity_of, wavelengths_of
     from .printing import console, notices, progress
+    from .programs import kept_radiance
 
     haze = turbidity_of(turbidity, aerosol_optical_depth, meteorological_range, haze_height)
     analytic, lowest = (None, 90.0) if coefficients is None else _analytic_sky(context, coefficients)
@@ -88,7 +90,8 @@ def simulate(
     with progress("simulating"):
         if analytic is None:
             chosen = make_solver(solver, preset, geometry, solver == "orders" if polarised is None else polarised)
-            radiance, model = np.asarray(chosen.radiance(atmosphere, scene), float), in_words(chosen)
+            kept = kept_radiance(chosen, atmosphere, scene, jax.config.jax_compilation_cache_dir)
+            radiance, model = np.asarray(kept, float), in_words(chosen)
         else:
             radiance, model = np.asarray(analytic.radiance(haze, scene), float), type(analytic).__name__
             if not analytic.valid(haze, scene.sun_zenith):

@@ -10,7 +10,10 @@ from .screening import assemble, Contents
 
 
 _AXES = ("time", "direction", "wavelength")
+_PLACES = ("view_zenith", "view_azimuth")
 _BEAM = "direct_normal_irradiance"
+# NumPy's and xarray's whole number for a time that is not known
+_NO_TIME = np.iinfo(np.int64).min
 _STATION = {
     "latitude": ("latitude",),
     "longitude": ("longitude",),
@@ -289,9 +292,15 @@ def write_netcdf(sky: Sky, path: Path) -> None:
 
     **Arguments** `path`: the file; written in place, see `writing.atomic`.
     """
-    import xarray
+    # xarray would bring pandas along, longer than all the rest of the writing
+    import h5netcdf
 
+    clockwise = {"units": "degree", "comment": "clockwise from north"}
     variables = {
+        "wavelength": ("wavelength", sky.wavelength_nm, {"units": "nm"}),
+        "view_zenith": ("direction", degrees(sky.view_zenith), {"units": "degree"}),
+        "view_azimuth": ("direction", degrees(sky.view_azimuth), clockwise),
+        "time": ("time", *_moments(sky.time)),
         "radiance": (_AXES, sky.radiance, {"units": RADIANCE, "long_name": "spectral radiance"}),
         "suspect": (_AXES, (~sky.usable).astype(np.int8), {"long_name": "1 where masked"}),
         "sun_zenith": ("time", degrees(sky.sun_zenith), {"units": "degree"}),
@@ -305,18 +314,33 @@ def write_netcdf(sky: Sky, path: Path) -> None:
     if sky.direct_sigma is not None:
         about = {"units": IRRADIANCE, "long_name": f"standard deviation of {_BEAM}"}
         variables[f"{_BEAM}_sigma"] = (("time", "wavelength"), sky.direct_sigma, about)
-    clockwise = {"units": "degree", "comment": "clockwise from north"}
-    coordinates = {
-        "wavelength": ("wavelength", sky.wavelength_nm, {"units": "nm"}),
-        "view_zenith": ("direction", degrees(sky.view_zenith), {"units": "degree"}),
-        "view_azimuth": ("direction", degrees(sky.view_azimuth), clockwise),
-        "time": ("time", sky.time),
-    }
-    data = xarray.Dataset(variables, coordinates, attributes(sky))
-    if sky.notes:
-        data.attrs["notes"] = "\n".join(sky.notes)
-    encoding = {name: {"zlib": True} for name in ("radiance", "suspect")}
-    data.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+    with h5netcdf.File(path, "w") as file:
+        file.dimensions = dict(zip(_AXES, sky.radiance.shape, strict=True))
+        for name, (axes, values, about) in variables.items():
+            _put(file, name, (axes,) if isinstance(axes, str) else axes, values, about)
+        file.attrs.update(attributes(sky))
+        if sky.notes:
+            file.attrs["notes"] = "\n".join(sky.notes)
+
+
+def _put(file, name: str, axes: tuple[str, ...], values: np.ndarray, about: dict) -> None:
+    """One variable; a field over all axes is compressed and says where its directions stand."""
+    missing = np.nan if values.dtype.kind == "f" else None
+    packing = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if axes == _AXES else {}
+    variable = file.create_variable(name, axes, values.dtype, values, fillvalue=missing, **packing)
+    variable.attrs.update(about)
+    if "direction" in axes and name not in _PLACES:
+        variable.attrs["coordinates"] = " ".join(_PLACES)
+
+
+def _moments(time: np.ndarray) -> tuple[np.ndarray, dict]:
+    """Times as whole numbers and what they count: seconds, or nanoseconds where those are not whole; NaT as NumPy's."""
+    nanoseconds = time.astype("datetime64[ns]").astype(np.int64)
+    known = nanoseconds != _NO_TIME
+    whole = not np.any(nanoseconds[known] % 1_000_000_000)
+    unit, step = ("seconds", 1_000_000_000) if whole else ("nanoseconds", 1)
+    counted = np.where(known, nanoseconds // step, _NO_TIME)
+    return counted, {"units": f"{unit} since 1970-01-01", "calendar": "proleptic_gregorian"}
 
 
 def degrees(radians: np.ndarray) -> np.ndarray:
