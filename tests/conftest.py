@@ -2,16 +2,33 @@
 
 import gc
 import os
+import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-
-
-# before LAPACK is loaded: its threads wait for one another by spinning, and beside a second process for minutes
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import hypothesis
 import jax
 import pytest
+
+
+# all processes of a run share what one of them has compiled
+CACHE = "JAX_COMPILATION_CACHE_DIR"
+# memory maps of a process, of which Linux allows 65530: each program holds some fifty
+MOST_MAPS = 40_000
+MAPS = Path("/proc/self/maps")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if CACHE not in os.environ:
+        os.environ[CACHE] = config.skyfit_cache = tempfile.mkdtemp(prefix="skyfit-programs-")
+    jax.config.update("jax_compilation_cache_dir", os.environ[CACHE])
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    # the process that made the folder removes it
+    shutil.rmtree(getattr(config, "skyfit_cache", ""), ignore_errors=True)
 
 
 # the tests' dtype is the library's default, float32; the fixture `x64` and `jax.enable_x64` change it
@@ -45,10 +62,11 @@ def x64() -> Iterator[None]:
 
 @pytest.fixture(scope="module", autouse=True)
 def few_programs() -> Iterator[None]:
-    """Programs of a file are dropped after it: each holds some fifty memory maps, of which a process has 65530."""
+    """Programs are dropped after a file once the process runs short of memory maps."""
     yield
-    jax.clear_caches()
-    gc.collect()
+    if not MAPS.exists() or MAPS.read_bytes().count(b"\n") > MOST_MAPS:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture(scope="module")

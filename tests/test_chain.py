@@ -15,7 +15,6 @@ import scipy.optimize
 from skies import HASTE
 
 from skyfit.numerics.chain import (
-    _ChainState,
     Blocks,
     blocks_of,
     ChainDescent,
@@ -249,7 +248,7 @@ def work(jaxpr) -> int:
 def test_the_work_grows_linearly_with_the_number_of_times():
     def step(blocks):
         point = origin(blocks)
-        return ChainDescent(jax.tree.map(jnp.ones_like, point)).to_best(_ChainState(point, blocks), 0.1)
+        return ChainDescent(jax.tree.map(jnp.ones_like, point)).to_best(point, blocks, 0.1)
 
     def known(blocks):
         return marginal_rows(blocks, column_norms(blocks))
@@ -336,7 +335,7 @@ def test_unknowns_that_are_linear_are_not_damped(x64):
     blocks = chain(3, 2, 4, True)
     matrix, right = dense(blocks)
     free = jax.tree.map(lambda v: jnp.full_like(v, jnp.inf), origin(blocks))
-    heavy = flat(jax.jit(lambda b: ChainDescent(free, 4).to_best(_ChainState(origin(b), b), 1e6))(blocks))
+    heavy = flat(jax.jit(lambda b: ChainDescent(free, 4).to_best(origin(b), b, 1e6))(blocks))
     # the own ones stand still; the shared ones go where they are best
     np.testing.assert_allclose(heavy[:6], 0.0, atol=1e-9)
     np.testing.assert_allclose(heavy[6:], np.linalg.lstsq(matrix[:, 6:], -right[:, 0], rcond=None)[0], atol=1e-9)

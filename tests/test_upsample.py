@@ -103,7 +103,7 @@ class Harmonics(AbstractSolver):
         return 0.0
 
     def coarser(self):
-        return self, self
+        return self
 
 
 def test_a_smooth_sky_is_interpolated_to_rounding_from_half_its_grid(x64):

@@ -66,7 +66,7 @@ def run(words: tuple[str, ...], folder: pathlib.Path, cache: pathlib.Path) -> di
     inherited = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "XLA_"))}
     own = {
         "XDG_CACHE_HOME": str(cache), "COLUMNS": "80", "PYTHONPATH": str(HERE.parent), "JAX_LOG_COMPILES": "1",
-        "JAX_ENABLE_X64": "1", "JAX_COMPILATION_CACHE_DIR": str(cache / "skyfit"), "OPENBLAS_NUM_THREADS": "1",
+        "JAX_ENABLE_X64": "1", "JAX_COMPILATION_CACHE_DIR": str(cache / "skyfit"),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
     }  # fmt: skip
     with (folder / "log").open("w+") as log:

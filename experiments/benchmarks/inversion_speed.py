@@ -9,15 +9,11 @@ Writes experiments/results/inversion_speed.json. The scan is the measured one of
 import argparse
 import importlib.metadata
 import json
-import os
 import pathlib
 import platform
 import statistics
 import subprocess
 import time
-
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import equinox as eqx
 import jax
@@ -29,7 +25,8 @@ from skyfit.measured import Measurement
 from skyfit.numerics import as_float
 from skyfit.retrieve import DEFAULT_FREE, start_model, with_values
 from skyfit.retrieve.forward import observe
-from skyfit.retrieve.invert import Plan
+from skyfit.retrieve.invert import solve
+from skyfit.retrieve.prepared import first_points, prepared
 from skyfit.retrieve.residuals import bound
 
 
@@ -46,17 +43,17 @@ STARTS_FREE = (
 def scan(shared: pathlib.Path) -> dict:
     """One measured scan by `invert`, by scipy over the same jitted residual, and scipy's calls over sasktran2."""
     sky = skyfit.read(shared / "measured" / "kider2014" / "2013-05-27.nc").at(SCAN).select(GRID)
-    plan = Plan(sky, DEFAULT_FREE, measurement=PLAIN, fwhm_nm=5.75)
+    asked = prepared(sky, DEFAULT_FREE, measurement=PLAIN, fwhm_nm=5.75)
     here = np.array([0])
-    one = plan.problem.at(0)
+    one = asked.problem.at(0)
 
     @eqx.filter_jit
     def residual(free):
-        model = with_values(plan.fixed, plan.setup.names, bound(plan.setup.names, free))
-        return ((observe(plan.solver, model, one)[0] - one.measured) * one.weight).reshape(-1)
+        model = with_values(asked.start, asked.names, bound(asked.names, free))
+        return ((observe(asked.solver, model, one)[0] - one.measured) * one.weight).reshape(-1)
 
     def ours():
-        return plan.solve(here, plan.first_points(here))
+        return solve(asked, here, first_points(asked, here))
 
     def whole():
         return skyfit.invert(sky, measurement=PLAIN, fwhm_nm=5.75)
@@ -68,7 +65,7 @@ def scan(shared: pathlib.Path) -> dict:
 
         return scipy.optimize.least_squares(counted, start, bounds=(-8.0, 8.0), x_scale="jac", method="trf")
 
-    start = np.asarray(plan.first_points(here).own[0, 0], float)
+    start = np.asarray(first_points(asked, here).own[0, 0], float)
     for call in (ours, whole):
         jax.block_until_ready(jax.tree.leaves(call().cost))
     np.asarray(residual(as_float(start)))
@@ -150,13 +147,13 @@ def starts(skies: int = 20, each: int = 25) -> dict:
             wavelength_nm=wavelength, sun_zenith=[np.radians(zenith)], sun_azimuth=[0.0],
             time=np.array(["NaT"], "datetime64[ns]"), pressure_pa=101325.0,
         )  # fmt: skip
-        plan = Plan(sky, STARTS_FREE, solver, measurement=exact)
+        asked = prepared(sky, STARTS_FREE, solver, measurement=exact)
         here = np.array([0])
-        points = plan.first_points(here, guess=False, starts=each + 1, seed=number)
+        points = first_points(asked, here, guess=False, starts=each + 1, seed=number)
         ends = []
         for k in range(1, each + 1):
             one = jax.tree.map(lambda v, k=k: v[k : k + 1], points)
-            ends.append(plan.solve(here, one))
+            ends.append(solve(asked, here, one))
         costs = np.array([float(e.cost) for e in ends])
         best = np.nanmin(costs)
         at_truth = 0.5 * float(np.sum(((radiance - clean) / (0.01 * clean)) ** 2))

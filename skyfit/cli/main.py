@@ -14,8 +14,6 @@ _COMMANDS = (simulate, refit, invert)
 
 def main() -> None:
     """The entry point: double precision, a persistent compilation cache, one-line errors with exit code 2."""
-    # LAPACK, loaded at the first fit: its threads wait for one another by spinning, beside other work for minutes
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # all but what ends the program: XLA finds it worth a report to its makers that a compilation takes long
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "skyfit"

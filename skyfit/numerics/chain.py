@@ -13,11 +13,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
+
+from .factor import solve_upper, triangle
 
 
-# of a column's length: no damping to speak of, but every unknown has a row
-_SLIGHT = 1e-5
+# standard deviations of the residuals by which a step of one in an unconstrained unknown must pay: what does less is
+# left where it is, for the data do not determine it
+_DETERMINED = 0.3
 _MOST_REJECTED = 8
 
 
@@ -170,10 +173,10 @@ def _triangle(rows: Float[Array, "row column"], count: int) -> Float[Array, "cou
     """The first `count` rows of R, filled up with empty ones; with positive diagonal, so that R follows its matrix."""
     if rows.shape[0] == 0 or rows.shape[1] == 0:
         return jnp.zeros((count, rows.shape[1]), rows.dtype)
-    triangle = jnp.linalg.qr(rows, mode="r")
-    sign = jnp.where(jnp.diagonal(triangle) < 0.0, -1.0, 1.0)
-    triangle = (triangle[: sign.size] * sign[:, None])[:count]
-    return jnp.pad(triangle, ((0, count - triangle.shape[0]), (0, 0)))
+    factor = triangle(rows)
+    sign = jnp.where(jnp.diagonal(factor) < 0.0, -1.0, 1.0)
+    factor = (factor * sign[:, None])[:count]
+    return jnp.pad(factor, ((0, count - factor.shape[0]), (0, 0)))
 
 
 def reduced(own, common, right, count: int):
@@ -191,15 +194,15 @@ def solve_chain(blocks: Blocks) -> tuple[Float[Array, "time parameter side"], Fl
     own, shared = blocks.own.shape[2], blocks.common.shape[2]
     done = _eliminate(blocks)
     if shared:
-        triangle = _triangle(done.last[:, own:], shared)
-        common = -jax.scipy.linalg.solve_triangular(triangle[:, :shared], triangle[:, shared:])
+        last = _triangle(done.last[:, own:], shared)
+        common = -solve_upper(last[:, :shared], last[:, shared:])
     else:
         common = jnp.zeros((0, blocks.right.shape[2]), blocks.own.dtype)
 
     def back(later, pivot):
         right = pivot[:, 2 * own + shared :] + pivot[:, own : 2 * own] @ later
         right = right + pivot[:, 2 * own : 2 * own + shared] @ common
-        here = -jax.scipy.linalg.solve_triangular(pivot[:, :own], right)
+        here = -solve_upper(pivot[:, :own], right)
         return here, here
 
     nothing = jnp.zeros((own, blocks.right.shape[2]), blocks.own.dtype)
@@ -227,9 +230,19 @@ def marginal_rows(blocks: Blocks, guard: Point) -> Float[Array, "time row column
     return jnp.concatenate([before[..., :columns], here, later[..., :columns]], axis=1)
 
 
+def squared_change(blocks: Blocks, step: Point) -> Float[Array, ""]:
+    """By how much a step changes the rows, the sum of squares."""
+    data = jnp.einsum("trp,tp->tr", blocks.own, step.own) + jnp.einsum("trs,s->tr", blocks.common, step.shared)
+    link = blocks.here * step.own[:-1] + blocks.after * step.own[1:]
+    return jnp.sum(data**2) + jnp.sum((blocks.prior @ step.shared) ** 2) + jnp.sum(link**2)
+
+
 class _ChainState(NamedTuple):
+    """The linear problem at the last accepted point, and how much the whole step to its minimum would change."""
+
     point: Point
     blocks: Blocks
+    change: Float[Array, ""]
 
 
 class ChainDescent(optx.AbstractDescent):
@@ -257,51 +270,55 @@ class ChainDescent(optx.AbstractDescent):
             jnp.zeros(rows.step.shape),
             jnp.zeros((*rows.step.shape, 1)),
         )
-        return _ChainState(y, jax.tree.map(lambda v: v.astype(y.own.dtype), empty))
+        return _ChainState(y, *jax.tree.map(lambda v: v.astype(y.own.dtype), (empty, jnp.array(jnp.inf))))
 
     def query(self, y, f_info, state):
-        return _ChainState(y, blocks_of(f_info.jac, f_info.residual, y))
+        blocks = blocks_of(f_info.jac, f_info.residual, y)
+        return _ChainState(y, blocks, squared_change(blocks, self.to_best(y, blocks, 0.0)))
 
     def step(self, step_size, state):
-        return self.to_best(state, jnp.sqrt(self.first_damping / step_size)), optx.RESULTS.successful
+        damping = jnp.sqrt(self.first_damping / step_size)
+        return self.to_best(state.point, state.blocks, damping), optx.RESULTS.successful
 
-    def to_best(self, state: _ChainState, damping) -> Point:
-        """The step to the minimum of the linear problem in the box, damped by this share of each column's length."""
-        slope = gradient(state.blocks)
+    def to_best(self, point: Point, blocks: Blocks, damping) -> Point:
+        """The step to the minimum of the linear problem in the box, damped by this share of each column's length.
 
-        def moved(held: Point) -> Point:
-            kept = without(state.blocks, held)
-            # an unknown without any influence stays where it is
-            size = jax.tree.map(lambda v: jnp.where(v > 0.0, damping * v, 1.0), column_norms(kept))
+        Combinations that hardly move the residuals (`_DETERMINED`) are damped besides: the step is along what the
+        data determine.
+        """
+        slope = gradient(blocks)
+        # held at the edge: where the cost falls outward, then where the step of the others would still lead out
+        side = jax.tree.map(lambda p, limit: jnp.where(jnp.abs(p) >= limit, jnp.sign(p), 0.0), point, self.limit)
+        outward = jax.tree.map(lambda s, g: ((s != 0.0) & (s * g <= 0.0)).astype(g.dtype), side, slope)
+
+        def moved(_, carry):
+            held, _ = carry
+            kept = without(blocks, held)
+            size = jax.tree.map(lambda v: jnp.hypot(damping * v, _DETERMINED), column_norms(kept))
             size = size._replace(shared=size.shared * (jnp.arange(size.shared.size) < size.shared.size - self.linear))
             own, shared = solve_chain(damped(kept, size))
-            return Point(own[..., 0], shared[:, 0])
+            step = Point(own[..., 0], shared[:, 0])
+            led = jax.tree.map(lambda s, d: ((s != 0.0) & (jnp.sign(d) == s)).astype(d.dtype), side, step)
+            return jax.tree.map(jnp.maximum, outward, led), step
 
-        # held at the edge: where the cost falls outward, then where the step of the others would still lead out
-        side = jax.tree.map(lambda p, limit: jnp.where(jnp.abs(p) >= limit, jnp.sign(p), 0.0), state.point, self.limit)
-        outward = jax.tree.map(lambda s, g: ((s != 0.0) & (s * g <= 0.0)).astype(g.dtype), side, slope)
-        again = moved(outward)
-        held = jax.tree.map(
-            lambda out, s, d: jnp.maximum(out, ((s != 0.0) & (jnp.sign(d) == s)).astype(d.dtype)), outward, side, again
-        )
-        more = jax.tree.reduce(jnp.logical_or, jax.tree.map(lambda h, o: jnp.any(h != o), held, outward))
-        change = jax.lax.cond(more, moved, lambda _: again, held)
+        _, change = jax.lax.fori_loop(0, 2, moved, (outward, jax.tree.map(jnp.zeros_like, point)))
         # a logistic curve is straight for about this far
         bounded = jax.tree.map(
             lambda d, limit: jnp.where(jnp.isfinite(limit), jnp.clip(d, -self.longest, self.longest), d),
             change,
             self.limit,
         )
-        return jax.tree.map(lambda p, d, limit: jnp.clip(p + d, -limit, limit) - p, state.point, bounded, self.limit)
+        return jax.tree.map(lambda p, d, limit: jnp.clip(p + d, -limit, limit) - p, point, bounded, self.limit)
 
 
 class ChainMarquardt(optx.AbstractGaussNewton):
     """Optimistix' Gauss-Newton loop that ends where the whole step to the minimum changes the residuals by less than
-    `tolerance`: residuals are in standard deviations, so that no parameter is further from its best than this share of
-    its sigma."""
+    `tolerance`: residuals are in standard deviations, so that no determined combination of parameters is further from
+    its best than this share of its sigma. `max_steps` may be traced."""
 
     descent: ChainDescent
-    tolerance: float = 0.02
+    max_steps: Int[Array, ""]
+    tolerance: float = 0.05
     rtol: float = 0.0
     atol: float = 0.0
     norm: Callable = optx.max_norm
@@ -311,26 +328,23 @@ class ChainMarquardt(optx.AbstractGaussNewton):
     verbose: Callable = lambda **_: None
 
     def terminate(self, fn, y, args, options, state, tags):
-        linear = state.descent_state.blocks
-        whole = self.descent.to_best(state.descent_state, _SLIGHT)
-        data = jnp.einsum("trp,tp->tr", linear.own, whole.own) + jnp.einsum("trs,s->tr", linear.common, whole.shared)
-        step = linear.here * whole.own[:-1] + linear.after * whole.own[1:]
-        change = jnp.sum(data**2) + jnp.sum((linear.prior @ whole.shared) ** 2) + jnp.sum(step**2)
-        done = (state.num_accepted_steps > 0) & (change < self.tolerance**2)
+        done = (state.num_accepted_steps > 0) & (state.descent_state.change < self.tolerance**2)
         # a search that only shrinks is where rounding lets no step succeed
         stuck = (state.num_accepted_steps > 0) & (state.num_steps_since_acceptance > _MOST_REJECTED)
-        return done | stuck, state.result
+        late = state.num_steps >= self.max_steps
+        result = optx.RESULTS.where(late & ~(done | stuck), optx.RESULTS.nonlinear_max_steps_reached, state.result)
+        return done | stuck | late, result
 
 
-def minimise(rows, point: Point, arguments, limit: Point, linear: int, max_steps: int):
+def minimise(rows, point: Point, arguments, limit: Point, linear: int, max_steps):
     """The least sum of squares within |unknown| <= `limit` by Levenberg-Marquardt on optimistix' loop.
 
     **Arguments:** `rows(point, arguments)` gives `Rows`, linear about `point`, and what is known besides; `linear` as
-    in `ChainDescent`.
+    in `ChainDescent`; `max_steps`, a number or traced.
     **Returns:** the point, what `rows` knew at it, the number of steps and optimistix' result; nothing is raised.
     """
-    solver = ChainMarquardt(descent=ChainDescent(limit, linear))
-    solution = optx.least_squares(rows, solver, point, arguments, has_aux=True, max_steps=max_steps, throw=False)
+    solver = ChainMarquardt(descent=ChainDescent(limit, linear), max_steps=jnp.asarray(max_steps))
+    solution = optx.least_squares(rows, solver, point, arguments, has_aux=True, max_steps=None, throw=False)
     # the sum of a point and a step to the edge is beyond it by rounding
     end = jax.tree.map(lambda p, edge: jnp.clip(p, -edge, edge), solution.value, limit)
     return end, solution.state.aux, solution.stats["num_steps"], solution.result

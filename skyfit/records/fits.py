@@ -24,8 +24,8 @@ from ..measured.writing import skyfit_version
 from ..numerics import as_float
 from ..retrieve import DEFAULT_FREE, Fits, PARAMETERS, SkyModel
 from ..retrieve.batch import assemble, fit_chunks, RESULTS
-from ..retrieve.invert import Plan
 from ..retrieve.parameters import fixed_values
+from ..retrieve.prepared import Prepared, prepared
 from ..transport import AbstractSolver
 
 
@@ -89,8 +89,8 @@ def fit_many(
     for name, value in (("chunk", chunk), ("batch_size", batch_size), ("starts", starts)):
         if not (isinstance(value, int) and value >= 1):
             raise ValueError(f"`{name}` must be a whole number of 1 or more, got {value!r}")
-    plan = Plan(sky, free, solver, start, fwhm_nm, max_steps, (), measurement, response, priors, None, draft)
-    settings = _settings(plan, max_steps, guess, starts)
+    asked = prepared(sky, free, solver, start, fwhm_nm, max_steps, (), measurement, response, priors, None, draft)
+    settings = _settings(asked, max_steps, guess, starts)
     times = len(sky.time)
     target = None if path is None else Path(path)
     parts = None if target is None else _opened(target, settings)
@@ -99,7 +99,7 @@ def fit_many(
     chunks = [] if parts is None else _kept(parts)
     done = np.concatenate([np.zeros(0, int), *(part["index"] for part in chunks)])
     left = np.setdiff1d(np.arange(times), done)
-    for part in fit_chunks(plan, left, chunk, batch_size, guess, starts):
+    for part in fit_chunks(asked, left, chunk, batch_size, guess, starts):
         if parts is not None:
             with atomic(parts / f"{part['index'][0]:09d}.npz") as file:
                 np.savez(file, allow_pickle=False, **part)
@@ -107,7 +107,7 @@ def fit_many(
         if progress is not None:
             progress(sum(len(part["index"]) for part in chunks), times)
     fits = assemble(
-        sky, plan.free, sky.wavelength_nm[plan.chosen], chunks, fixed_values(plan.start, plan.free), settings
+        sky, asked.free, sky.wavelength_nm[asked.chosen], chunks, fixed_values(asked.start, asked.free), settings
     )
     if target is not None and parts is not None:
         with atomic(target) as file:
@@ -116,12 +116,12 @@ def fit_many(
     return fits
 
 
-def _settings(plan: Plan, max_steps: int, guess: bool, starts: int) -> dict[str, str]:
+def _settings(asked: Prepared, max_steps: int, guess: bool, starts: int) -> dict[str, str]:
     """All that the numbers depend on, as text."""
-    sky, response = plan.sky, plan.sampling.response
+    sky, response = asked.sky, asked.sampling.response
     station = sky.latitude_deg, sky.longitude_deg, sky.altitude_m, sky.pressure_pa
     samples = np.where(sky.usable, sky.radiance, np.nan)
-    leaves, structure = jax.tree.flatten(plan.start)
+    leaves, structure = jax.tree.flatten(asked.start)
     kinds = np.frombuffer(repr(structure).encode(), np.uint8)
     return {
         "skyfit_version": str(skyfit_version()),
@@ -129,14 +129,14 @@ def _settings(plan: Plan, max_steps: int, guess: bool, starts: int) -> dict[str,
             samples, sky.sigma, sky.usable, sky.view_zenith, sky.view_azimuth, sky.wavelength_nm, sky.sun_zenith,
             sky.sun_azimuth, sky.time.astype(np.int64), station, sky.direct_irradiance, sky.direct_sigma,
         ),
-        "free": ", ".join(plan.free),
-        "solver": _line(plan.solver),
-        "draft": _line(plan.solvers[1]),
-        "measurement": _line(plan.measurement),
-        "priors": json.dumps(plan.priors),
+        "free": ", ".join(asked.free),
+        "solver": _line(asked.solver),
+        "slopes": _line(asked.slopes),
+        "measurement": _line(asked.measurement),
+        "priors": json.dumps(asked.priors),
         "response": "" if response is None else _digest(response.wavelength_nm, response.weight),
         "start": _digest(kinds, *leaves),
-        "fwhm_nm": f"{plan.sampling.fwhm_nm:.9g}",
+        "fwhm_nm": f"{asked.sampling.fwhm_nm:.9g}",
         "max_steps": str(max_steps),
         "guess": str(guess),
         "starts": str(starts),

@@ -12,7 +12,6 @@ from .invert import (
     DEFAULT_FREE as DEFAULT_FREE,
     invert as invert,
     PARTICLE_FREE as PARTICLE_FREE,
-    predict as predict,
     SLOW as SLOW,
 )
 from .model import SkyModel as SkyModel
@@ -23,4 +22,6 @@ from .parameters import (
     values_of as values_of,
     with_values as with_values,
 )
+from .predict import predict as predict
 from .result import Fit as Fit, Fitted as Fitted
+from .retrieve import retrieve as retrieve

@@ -19,8 +19,9 @@ from ..measured import Sky
 from ..measured.quality.oddities import examine
 from ..measured.quality.plausibility import beyond_sigma, POOR
 from ..numerics.chain import Point
-from .estimate import estimate
-from .invert import described, Plan
+from .prepared import first_points, flaws, Prepared
+from .report import described_time
+from .retrieve import retrieve
 
 
 # how a time can end; all but the first three have NaN for values
@@ -95,9 +96,9 @@ class Outcome(NamedTuple):
 
 
 def fit_chunks(
-    plan: Plan, times: np.ndarray, chunk: int, batch_size: int, guess: bool, starts: int
+    asked: Prepared, times: np.ndarray, chunk: int, batch_size: int, guess: bool, starts: int
 ) -> Iterator[dict[str, np.ndarray]]:
-    """The fits of some times of a plan, chunk after chunk as they end.
+    """The fits of some times of a asked, chunk after chunk as they end.
 
     **Arguments:** `times`, indices; `chunk`, how many are in one call, `batch_size`, how many of them in lock-step.
     **Returns** (yields) arrays by their names in `Fits`, and `index`, the times that they are of. All chunks have one
@@ -106,12 +107,10 @@ def fit_chunks(
     """
     devices = jax.local_devices()
     mesh = Mesh(np.array(devices), ("time",))
-    # a thread for each core, which the small matrices of one fit do not keep busy. Not with fits in lock-step: LAPACK
-    # then shares each call out to XLA's threads and waits for them, for ever where all of them wait
-    alone = len(devices) == 1 and devices[0].platform == "cpu" and batch_size == 1
-    workers = (os.cpu_count() or 1) if alone else 1
+    # a thread for each core, which the small matrices of one fit do not keep busy
+    workers = (os.cpu_count() or 1) if len(devices) == 1 and devices[0].platform == "cpu" else 1
     width = -(-chunk // len(devices)) * len(devices)
-    flaws, priors = plan.flaws(), plan.prior_rows._replace(step=plan.prior_rows.step[:0])
+    wrong, priors = flaws(asked), asked.rows._replace(step=asked.rows.step[:0])
     waiting = (times[i : i + width] for i in range(0, len(times), width))
     running: dict[Future, tuple[np.ndarray, list[str], list[str]]] = {}
     pool = ThreadPoolExecutor(workers)
@@ -119,38 +118,38 @@ def fit_chunks(
         while True:
             # one more than there are workers, so that none waits for its arrays
             for index in islice(waiting, workers + 1 - len(running)):
-                ends, notes = _examined(plan, index, flaws)
+                ends, notes = _examined(asked, index, wrong)
                 every = np.pad(index, (0, width - len(index)), mode="edge")
                 active = np.pad([not end for end in ends], (0, width - len(index)))
-                points = plan.first_points(every, guess, starts)
+                points = first_points(asked, every, guess, starts)
                 split = jax.device_put(
-                    (jnp.asarray(active), plan.problem.at(every), jnp.moveaxis(points.own, 1, 0)),
+                    (jnp.asarray(active), asked.problem.at(every), jnp.moveaxis(points.own, 1, 0)),
                     NamedSharding(mesh, PartitionSpec("time")),
                 )
-                asked = plan.setup, plan.solvers, mesh, batch_size, plan.fixed, priors, *split
+                question = mesh, batch_size, asked.start, asked.names, asked.options(), priors, *split
                 # compiled here: a thread of its own would not see this one's settings of JAX
-                running[pool.submit(_fetch, _outcomes.lower(*asked).compile(), asked)] = index, ends, notes
+                running[pool.submit(_fetch, _outcomes.lower(*question).compile(), question)] = index, ends, notes
             if not running:
                 return
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
-                yield _columns(plan, *running.pop(future), future.result())
+                yield _columns(asked, *running.pop(future), future.result())
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _fetch(compiled: Callable, asked: tuple) -> Any:
-    return jax.device_get(compiled(*asked))
+def _fetch(compiled: Callable, question: tuple) -> Any:
+    return jax.device_get(compiled(*question))
 
 
-def _examined(plan: Plan, index: np.ndarray, flaws: list[str]) -> tuple[list[str], list[str]]:
+def _examined(asked: Prepared, index: np.ndarray, flaws: list[str]) -> tuple[list[str], list[str]]:
     """Why each time is not to be fitted, or "", and what is odd about it, a sentence a line."""
     ends, notes = [flaws[t] for t in index], [""] * len(index)
-    if plan.sampling.response is not None:
+    if asked.sampling.response is not None:
         return ends, notes
     for i, t in enumerate(index):
         try:
-            notes[i] = "\n".join(examine(plan.sky.at(int(t)), plan.sampling.used[t : t + 1]))
+            notes[i] = "\n".join(examine(asked.sky.at(int(t)), asked.sampling.used[t : t + 1]))
         except ValueError as error:
             notes[i] = str(error).removeprefix("`sky` ")
             ends[i] = ends[i] or "not_a_sky"
@@ -158,12 +157,14 @@ def _examined(plan: Plan, index: np.ndarray, flaws: list[str]) -> tuple[list[str
 
 
 @eqx.filter_jit
-def _outcomes(setup, solvers, mesh, batch_size, fixed, priors, active, problem, own) -> Outcome:
+def _outcomes(mesh, batch_size, model, names, options, priors, active, problem, own) -> Outcome:
     """The outcomes of a chunk, NaN for times that are not active, which cost nothing."""
+    numbers, choices = eqx.partition(options, eqx.is_array)
 
-    def each_device(fixed, priors, active, problem, own):
+    def each_device(model, numbers, priors, active, problem, own):
         # traced once, for its shapes and for itself
-        fit = jax.jit(lambda one, own: _outcome(setup, solvers, fixed, priors, one, own))
+        given = eqx.combine(numbers, choices)
+        fit = jax.jit(lambda one, own: _outcome(model, names, given, priors, one, own))
         shapes = jax.eval_shape(fit, *jax.tree.map(lambda v: v[0], (problem, own)))
 
         def nothing(_, __):
@@ -177,16 +178,16 @@ def _outcomes(setup, solvers, mesh, batch_size, fixed, priors, active, problem, 
 
     along, whole = PartitionSpec("time"), PartitionSpec()
     split = jax.shard_map(
-        each_device, mesh=mesh, in_specs=(whole, whole, along, along, along), out_specs=along, check_vma=False
+        each_device, mesh=mesh, in_specs=(whole, whole, whole, along, along, along), out_specs=along, check_vma=False
     )
-    return split(fixed, priors, active, problem, own)
+    return split(model, numbers, priors, active, problem, own)
 
 
-def _outcome(setup, solvers, fixed, priors, one, own) -> Outcome:
+def _outcome(model, names, options, priors, one, own) -> Outcome:
     """The outcome of one time, its time axis taken off."""
     problem = jax.tree.map(lambda v: v[None], one)
     starts = Point(own[:, None], jnp.zeros((own.shape[0], 0), own.dtype))
-    found = estimate(setup, solvers, fixed, problem, priors, starts)
+    found = retrieve(problem, model, names, priors=priors, start=starts, **options)
     used = one.weight > 0.0
     count = jnp.maximum(jnp.sum(used), 1)
     rmse = jnp.sqrt(jnp.sum(jnp.where(used, found.radiance[0] - one.measured, 0.0) ** 2) / count)
@@ -207,10 +208,9 @@ def ended(result, finite, poor) -> Int[Array, ""]:
     return jnp.where(finite & well, jnp.where(poor, 1, 0), jnp.where(finite & late, 2, 3))
 
 
-def _columns(plan: Plan, index: np.ndarray, ends: list[str], notes: list[str], outcome: Outcome) -> dict:
+def _columns(asked: Prepared, index: np.ndarray, ends: list[str], notes: list[str], outcome: Outcome) -> dict:
     """The rows of a chunk by their names in `Fits`, padding taken off."""
     count = len(index)
-    order = np.array([plan.setup.names.index(n) for n in plan.free])
     result = np.array([end or RESULTS[code] for end, code in zip(ends, outcome.ended[:count], strict=True)])
     valued = np.isin(result, RESULTS[:_VALUED])
     # the numbers of a fit that failed may be anything
@@ -219,18 +219,18 @@ def _columns(plan: Plan, index: np.ndarray, ends: list[str], notes: list[str], o
         for key, value in outcome._asdict().items()
     }
     rows = [
-        described(plan.free, (), order, *row)[0]
+        described_time(asked.free, (), asked.order, *row)[0]
         for row in zip(told["values"], told["noise"], told["model"], strict=True)
     ]
     doubts = [
-        beyond_sigma(plan.sky, chi) if name == "successful" else ()
+        beyond_sigma(asked.sky, chi) if name == "successful" else ()
         for name, chi in zip(result, told["chi_square"], strict=True)
     ]
     stacked = {key: np.stack([row[key] for row in rows]) for key in rows[0]}
     return stacked | {
         "index": np.asarray(index),
         "rmse": told["rmse"],
-        "samples": plan.sampling.used[index][:, :, plan.chosen].sum(axis=(1, 2)),
+        "samples": asked.sampling.used[index][:, :, asked.chosen].sum(axis=(1, 2)),
         "reduced_chi_square": told["chi_square"],
         "scale": told["scale"],
         "degrees_of_freedom": told["freedom"],

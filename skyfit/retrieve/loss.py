@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike, Float
 
 from ..measured.noise import Loss
 
@@ -16,7 +16,7 @@ class Robust(NamedTuple):
     weight: Array
 
 
-def robust(residual: Array, loss: Loss, threshold: float) -> Robust:
+def robust(residual: Array, loss: Loss, threshold: Float[ArrayLike, ""]) -> Robust:
     r"""Residuals that grow less than linearly beyond a threshold $k$.
 
     Huber: $f^2 = 2 k |z| - k^2$ beyond k; Cauchy: $f^2 = k^2 \ln(1 + z^2 / k^2)$. With $w = f f' / z$ the weight of

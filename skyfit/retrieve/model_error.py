@@ -6,7 +6,6 @@ from jaxtyping import Array, Float
 
 from ..scene import haversine
 from .forward import Problem
-from .residuals import Known
 
 
 def error_shapes(airmass: Array, cosine: Array, wavelength_nm: Array) -> Float[Array, "shape direction wavelength"]:
@@ -26,7 +25,9 @@ def error_shapes(airmass: Array, cosine: Array, wavelength_nm: Array) -> Float[A
     return jnp.stack(shapes)
 
 
-def _model_errors(problem: Problem, known: Known) -> Float[Array, "time sample shape"]:
+def model_errors(
+    problem: Problem, radiance: Float[Array, "time direction channel"]
+) -> Float[Array, "time sample shape"]:
     """Smooth errors of the model's radiance, in its unit; the direct beam has none."""
 
     def at(item):
@@ -43,4 +44,4 @@ def _model_errors(problem: Problem, known: Known) -> Float[Array, "time sample s
             return errors
         return jnp.concatenate([errors, jnp.zeros((one.direct.shape[0], errors.shape[1]), errors.dtype)])
 
-    return jax.vmap(at)((problem, known.radiance))
+    return jax.vmap(at)((problem, radiance))

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from ..atmosphere import (
     Atmosphere,
@@ -70,6 +71,13 @@ class Parameter(NamedTuple):
         share = (self.to_scale(value) - low) / (high - low)
         share = np.clip(share, 0.01, 0.99)
         return float(np.log(share / (1.0 - share)))
+
+    def place_of(self, model: SkyModel) -> Float[Array, ""]:
+        """The unconstrained number of a model's value, which may be traced; `unbound` for traced values."""
+        low, high = self._ends()
+        value = self.from_leaf(self.leaf(model))
+        share = jnp.clip(((jnp.log(value) if self.log else value) - low) / (high - low), 0.01, 0.99)
+        return jnp.log(share / (1.0 - share))
 
     def at_bound(self, value: float) -> bool:
         """Whether the value lies within a thousandth of the range from a bound."""

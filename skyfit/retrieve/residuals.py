@@ -4,46 +4,51 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..measured.noise import Loss
 from ..numerics.chain import Point, reduced, Rows
 from ..transport import AbstractSolver
 from .forward import observe, Problem
 from .loss import robust
+from .model import SkyModel
 from .parameters import PARAMETERS, with_values
 
 
-# these move the rays of a scene or the points on them
-MOVING = ("pointing_zenith", "pointing_azimuth", "aerosol_scale_height")
-
-
-class Setup(NamedTuple):
-    """What a fit is asked for, all static: names of each time's own and of the shared parameters, loss, steps."""
+class Choices(NamedTuple):
+    """What a retrieval is compiled for: names of each time's own and of the shared parameters, loss, calibration."""
 
     own: tuple[str, ...]
     shared: tuple[str, ...]
     loss: Loss
-    threshold: float
-    model_error: float
     calibrated: bool
-    max_steps: int
 
     @property
     def names(self) -> tuple[str, ...]:
         return self.own + self.shared
 
 
+class Numbers(NamedTuple):
+    """Settings that are traced: another value compiles nothing.
+
+    `threshold` of the loss in standard deviations; `model_error`, relative; `max_steps` of each search.
+    """
+
+    threshold: Float[Array, ""]
+    model_error: Float[Array, ""]
+    max_steps: Int[Array, ""]
+
+
 class Priors(NamedTuple):
     """Gaussian priors on each parameter's scale: centre and one over sigma (0: none), in the order own, shared.
 
-    `calibration`: one over the sigma of a wavelength's scale. `step`: one over the sigma of the change between two
-    neighbours in time.
+    `calibration`: one over the sigma of a wavelength's scale, None where the scale is exact. `step`: one over the sigma
+    of the change between two neighbours in time.
     """
 
     centre: Float[Array, " parameter"]
-    weight: Float[Array, " parameter"]
-    calibration: Float[Array, ""]
+    inverse_sigma: Float[Array, " parameter"]
+    calibration: Float[Array, ""] | None
     step: Float[Array, "step own"]
 
 
@@ -86,10 +91,10 @@ def whitened(problem: Problem, known: Known, calibration, scale):
     return jnp.concatenate([residual * weight, direct], axis=1), weights
 
 
-def calibration_of(setup: Setup, point: Point, channels: int) -> Float[Array, " channel"]:
+def calibration_of(choices: Choices, point: Point, channels: int) -> Float[Array, " channel"]:
     """The instrument's scale of each channel at a point, 1 where it is not fitted."""
-    if setup.calibrated:
-        return 1.0 + point.shared[len(setup.shared) :]
+    if choices.calibrated:
+        return 1.0 + point.shared[len(choices.shared) :]
     return jnp.ones(channels, point.own.dtype)
 
 
@@ -148,70 +153,53 @@ def _reduced_time(own, common, by_channel, right):
     )
 
 
-def _readings(names: tuple[str, ...], solver: AbstractSolver, slopes_by: AbstractSolver, fixed, values, one: Problem):
-    """What the solver says of one time, and the derivatives by the parameters, `[sample, parameter]`, by another.
+def linearised(
+    names: tuple[str, ...], solver: AbstractSolver, slopes_by: AbstractSolver, fixed: SkyModel, values, one: Problem
+) -> Known:
+    """What the solver says of one time, and the derivatives by the parameters, `[sample, parameter]`, by another."""
 
-    Parameters that move no ray share one pass, each of the others has its own: what does not move costs nothing then.
-    """
+    def samples(values):
+        return _samples(one, *observe(slopes_by, with_values(fixed, names, values), one))
 
-    def read(solver, part, places, others):
-        every: list = [None] * len(names)
-        for i, value in [*zip(places, part, strict=True), *others]:
-            every[i] = value
-        return observe(solver, with_values(fixed, names, every), one)
-
-    def samples(part, places):
-        others = [(i, values[i]) for i in range(len(names)) if i not in places]
-        return _samples(one, *read(slopes_by, list(part), places, others))
-
-    still = [i for i, name in enumerate(names) if name not in MOVING]
-    columns: list = [None] * len(names)
-    if still:
-        jacobian = jax.jacfwd(lambda part: samples(part, still))(values[jnp.asarray(still)])
-        for k, i in enumerate(still):
-            columns[i] = jacobian[:, k]
-    for i in range(len(names)):
-        if i not in still:
-            _, columns[i] = jax.jvp(lambda v, i=i: samples([v], [i]), (values[i],), (jnp.ones_like(values[i]),))
-    radiance, direct = read(solver, list(values), range(len(names)), [])
-    return Known(radiance, direct, jnp.stack(columns, axis=1))
+    radiance, direct = observe(solver, with_values(fixed, names, values), one)
+    return Known(radiance, direct, jax.jacfwd(samples)(values))
 
 
-def objective(setup: Setup, solver: AbstractSolver, slopes_by: AbstractSolver):
+def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolver):
     """The rows of all times, linear about the point, for `minimise`."""
-    names, count = setup.names, len(setup.own)
+    names, count = choices.names, len(choices.own)
 
     def rows(point: Point, arguments):
-        fixed, problem, priors, scale = arguments
+        fixed, problem, priors, scale, threshold = arguments
         here = jax.lax.stop_gradient(point)
         channels = problem.measured.shape[2]
-        shared, calibration = here.shared[: len(setup.shared)], calibration_of(setup, here, channels)
+        shared, calibration = here.shared[: len(choices.shared)], calibration_of(choices, here, channels)
 
         def known_at(item):
             own, one = item
             free = jnp.concatenate([own, shared])
             values, slope = _with_slope(bound, names, free)
-            return _readings(names, solver, slopes_by, fixed, values, one), slope
+            return linearised(names, solver, slopes_by, fixed, values, one), slope
 
         known, slopes = jax.lax.map(known_at, (here.own, problem))
         residual, weight = whitened(problem, known, calibration, scale)
-        after = robust(residual, setup.loss, setup.threshold)
+        after = robust(residual, choices.loss, threshold)
         by_value = known.jacobian * (after.slope * weight * instrument_gain(calibration, problem))[..., None]
         by_channel = None
-        if setup.calibrated:
+        if choices.calibrated:
             by_channel = known.radiance * (after.slope * weight)[:, : known.radiance[0].size].reshape(
                 known.radiance.shape
             )
         scaled, steep = (
-            jax.vmap(lambda own: _with_slope(on_scale, setup.own, own))(here.own) if count else (here.own, here.own)
+            jax.vmap(lambda own: _with_slope(on_scale, choices.own, own))(here.own) if count else (here.own, here.own)
         )
-        prior = (scaled - priors.centre[None, :count]) * priors.weight[None, :count]
+        prior = (scaled - priors.centre[None, :count]) * priors.inverse_sigma[None, :count]
         own, common, right = rows_of_times(
-            by_value * slopes[:, None], after.value[..., None], by_channel, steep * priors.weight[None, :count],
+            by_value * slopes[:, None], after.value[..., None], by_channel, steep * priors.inverse_sigma[None, :count],
             prior[..., None],
         )  # fmt: skip
         step = (scaled[1:] - scaled[:-1]) * priors.step
-        shared_value, shared_slope = shared_priors(setup, here.shared, priors)
+        shared_value, shared_slope = shared_priors(choices, here.shared, priors)
         move = jax.tree.map(jnp.subtract, point, here)
         data = right[..., 0] + jnp.einsum("trp,tp->tr", own, move.own) + jnp.einsum("trs,s->tr", common, move.shared)
         stepped = step + priors.step * (steep[1:] * move.own[1:] - steep[:-1] * move.own[:-1])
@@ -228,15 +216,28 @@ def instrument_gain(calibration, problem: Problem):
     return jnp.concatenate([sky, jnp.ones(problem.direct.shape[1], sky.dtype)])[None]
 
 
-def shared_priors(setup: Setup, shared, priors: Priors):
+def shared_priors(choices: Choices, shared, priors: Priors):
     """Residuals of the shared parameters' and the scales' priors, and their slopes."""
-    count, first = len(setup.shared), len(setup.own)
+    count, first = len(choices.shared), len(choices.own)
+    value, slope = shared[:0], shared[:0]
+    if count:
+        scaled, steep = _with_slope(on_scale, choices.shared, shared[:count])
+        value = (scaled - priors.centre[first:]) * priors.inverse_sigma[first:]
+        slope = steep * priors.inverse_sigma[first:]
+    if priors.calibration is None:
+        return value, slope
     scales = shared[count:] * priors.calibration
-    if not count:
-        return scales, jnp.broadcast_to(priors.calibration, scales.shape)
-    scaled, steep = _with_slope(on_scale, setup.shared, shared[:count])
-    value = (scaled - priors.centre[first:]) * priors.weight[first:]
-    slope = steep * priors.weight[first:]
     return jnp.concatenate([value, scales]), jnp.concatenate(
         [slope, jnp.broadcast_to(priors.calibration, scales.shape)]
     )
+
+
+def cost(choices: Choices, numbers: Numbers, priors: Priors, point: Point, residual) -> Float[Array, ""]:
+    """Half the sum of squares after the loss, priors included."""
+    total = jnp.sum(robust(residual, choices.loss, numbers.threshold).value ** 2)
+    count = len(choices.own)
+    if count:
+        scaled = jax.vmap(lambda own: on_scale(choices.own, own))(point.own)
+        total += jnp.sum(((scaled - priors.centre[None, :count]) * priors.inverse_sigma[None, :count]) ** 2)
+        total += jnp.sum(((scaled[1:] - scaled[:-1]) * priors.step) ** 2)
+    return 0.5 * (total + jnp.sum(shared_priors(choices, point.shared, priors)[0] ** 2))

@@ -87,8 +87,8 @@ class AbstractSolver(eqx.Module):
         """The relative size of each of the smooth errors that a retrieval allows this solver (`error_shapes`)."""
 
     @abstractmethod
-    def coarser(self) -> tuple["AbstractSolver", "AbstractSolver"]:
-        """Solvers for the first steps of a retrieval and for the slopes of its last ones; itself where it is cheap."""
+    def coarser(self) -> "AbstractSolver":
+        """The solver of the slopes of a retrieval, some per cent off; itself where it is cheap."""
 
     @abstractmethod
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:

@@ -233,8 +233,8 @@ class Shells(AbstractSolver):
     def model_error(self) -> float:
         return SCALAR_ERROR
 
-    def coarser(self) -> tuple[AbstractSolver, AbstractSolver]:
-        return self, self
+    def coarser(self) -> AbstractSolver:
+        return self
 
     @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:

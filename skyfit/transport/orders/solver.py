@@ -70,13 +70,6 @@ class OrdersOfScattering(AbstractSolver):
         self._resolution().check(self.nodes, self.spectral_nodes)
 
     @classmethod
-    def scout(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
-        """Some per cent: for the first steps of a fit and its slopes."""
-        return cls(
-            streams=4, modes=8, levels=8, orders=2, nodes=8, spectral_nodes=4, geometry=geometry, polarised=polarised
-        )
-
-    @classmethod
     def draft(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
         """Flat: 0.05 % in the median, to 2 % at 85 degrees."""
         return cls(
@@ -106,9 +99,8 @@ class OrdersOfScattering(AbstractSolver):
     def model_error(self) -> float:
         return POLARISED_ERROR if self.polarised else SCALAR_ERROR
 
-    def coarser(self) -> tuple["OrdersOfScattering", "OrdersOfScattering"]:
-        kind = self.geometry, self.polarised
-        return OrdersOfScattering.scout(*kind), OrdersOfScattering.draft(*kind)
+    def coarser(self) -> "OrdersOfScattering":
+        return OrdersOfScattering.draft(self.geometry, self.polarised)
 
     @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:

@@ -1,0 +1,207 @@
+"""What a retrieval is asked for, checked, and the arrays that it works on."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..light.solar import SPECTRUM_NM
+from ..measured import Measurement, Response, Sky
+from ..measured.quality.oddities import examine
+from ..measured.samples import station_pressure, STATION_RANGES
+from ..numerics import as_float
+from ..numerics.chain import Point
+from ..transport import AbstractSolver, OrdersOfScattering
+from .forward import Problem
+from .guess import first_guess
+from .model import SkyModel
+from .parameters import check_free, PARAMETERS, start_model, values_of
+from .residuals import Priors
+from .sampling import Sampling
+
+
+# spread of the logistic numbers of random starts: most of each range, not its ends
+_START_SPREAD = 1.5
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A checked question about a sky.
+
+    `own` and `shared` names stand in the order of `PARAMETERS`, so that the same names in another order are the same
+    program; `slopes` is the solver of derivatives; `places` `[time, direction]` says which directions `problem` holds;
+    `rows`, the priors on the parameters' scales; `linked`, whether neighbours in time are tied.
+    """
+
+    sky: Sky
+    free: tuple[str, ...]
+    own: tuple[str, ...]
+    shared: tuple[str, ...]
+    solver: AbstractSolver
+    slopes: AbstractSolver
+    start: SkyModel
+    measurement: Measurement
+    priors: dict[str, tuple[float, float]]
+    smooth: dict[str, float]
+    max_steps: int
+    sampling: Sampling
+    chosen: np.ndarray
+    problem: Problem
+    places: np.ndarray
+    rows: Priors
+    linked: bool
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.own + self.shared
+
+    @property
+    def order(self) -> np.ndarray:
+        """The place of each free name, as the user ordered them, among `names`."""
+        return np.array([self.names.index(n) for n in self.free])
+
+    def options(self) -> dict:
+        """What `retrieve` takes besides the samples, the model, the names and the priors."""
+        given = self.measurement.model_error
+        return {
+            "solver": self.solver,
+            "slopes": self.slopes,
+            "shared": self.shared,
+            "loss": self.measurement.loss,
+            "threshold": as_float(self.measurement.threshold),
+            "model_error": as_float(self.solver.model_error if given is None else given),
+            "max_steps": np.asarray(self.max_steps),
+        }
+
+
+def prepared(
+    sky: Sky,
+    free: Sequence[str],
+    solver: AbstractSolver | None = None,
+    start: SkyModel | None = None,
+    fwhm_nm: float | None = None,
+    max_steps: int = 100,
+    shared: Sequence[str] = (),
+    measurement: Measurement | None = None,
+    response: Response | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    smooth: Mapping[str, float] | None = None,
+    draft: AbstractSolver | None = None,
+) -> Prepared:
+    """The question, arguments as those of `invert`.
+
+    **Errors:** `ValueError` for unknown or contradicting names, settings out of range, a sky without a usable sample.
+    """
+    free, shared = tuple(free), tuple(shared)
+    measurement = Measurement() if measurement is None else measurement
+    # colours of a camera are told less by polarisation than by what its channels really are
+    solver = OrdersOfScattering.normal(polarised=response is None) if solver is None else solver
+    pressure, assumed = station_pressure(sky)
+    start = start_model(free, pressure) if start is None else start
+    check_free(free, start)
+    known, ties = _checked_priors(dict(priors or {}), free), dict(smooth or {})
+    _check_shared(shared, ties, free)
+    low, high, unit = STATION_RANGES["fwhm_nm"]
+    if fwhm_nm is not None and np.isfinite(fwhm_nm) and not low <= fwhm_nm <= high:
+        raise ValueError(f"`fwhm_nm` must be {low:g} to {high:g} {unit}, got {fwhm_nm:g}")
+    sampling = Sampling(sky, fwhm_nm, response, measurement.field_of_view)
+    if assumed:
+        sampling.notes.append(assumed)
+    chosen = sampling.chosen()
+    if chosen.size == 0:
+        raise ValueError(f"`sky` has no usable sample at {SPECTRUM_NM[0]:g}-{SPECTRUM_NM[1]:g} nm")
+    own = tuple(n for n in PARAMETERS if n in free and n not in shared)
+    common = tuple(n for n in PARAMETERS if n in shared)
+    # a single time has no neighbour, and nothing to share
+    linked = bool(ties) and len(sky.time) > 1
+    problem, places = sampling.problem(chosen, measurement)
+    rows = _prior_rows(sky, own, common, known, ties if linked else {}, measurement.calibration_prior(sky))
+    return Prepared(
+        sky, free, own, common, solver, solver.coarser() if draft is None else draft, start, measurement, known, ties,
+        max_steps, sampling, chosen, problem, places, rows, linked,
+    )  # fmt: skip
+
+
+def flaws(asked: Prepared) -> list[str]:
+    """Why each time cannot be fitted: "no_samples", "too_few_samples", "sun_below_horizon", or "" if it can."""
+    counts = asked.sampling.used[:, :, asked.chosen].sum(axis=(1, 2))
+    up = asked.sky.sun_zenith < 0.5 * np.pi
+    return [
+        "sun_below_horizon" if not up[t]
+        else "no_samples" if not counts[t]
+        else "too_few_samples" if counts[t] < len(asked.free)
+        else ""
+        for t in range(len(counts))
+    ]  # fmt: skip
+
+
+def check(asked: Prepared) -> None:
+    """A `ValueError` if any time cannot be fitted, or if all are no sky; what is odd goes into the notes."""
+    for t, flaw in enumerate(flaws(asked)):
+        if flaw == "sun_below_horizon":
+            raise ValueError(f"`sky` has the sun at or below the horizon at time {t}: it cannot be inverted")
+        if flaw:
+            count = int(asked.sampling.used[t][:, asked.chosen].sum())
+            raise ValueError(
+                f"`sky` has {count} usable samples at time {t}, fewer than the {len(asked.free)} free parameters"
+            )
+    if asked.sampling.response is None:
+        asked.sampling.notes += examine(asked.sky, asked.sampling.used)
+
+
+def first_points(asked: Prepared, times: np.ndarray, guess: bool = True, starts: int = 1, seed: int = 0) -> Point:
+    """Where the search begins, `[start, ...]`: the start or the guess from the data, then random ones."""
+    names, own = asked.names, len(asked.own)
+    if guess:
+        values = first_guess(asked.solver.geometry, asked.start, names, asked.problem.at(times))
+    else:
+        values = np.tile(list(values_of(asked.start, names).values()), (len(times), 1))
+    free = np.array([[PARAMETERS[n].unbound(v) for n, v in zip(names, row, strict=True)] for row in values])
+    random = np.random.default_rng(seed)
+    points = np.stack([free, *(_START_SPREAD * random.standard_normal(free.shape) for _ in range(starts - 1))])
+    # shared numbers begin in the middle of what the times say
+    return Point(as_float(points[:, :, :own]), as_float(np.median(points[:, :, own:], axis=1)))
+
+
+def _prior_rows(sky: Sky, own, shared, priors: dict, smooth: dict, calibration: float) -> Priors:
+    centre, inverse_sigma = [], []
+    for name in own + shared:
+        value, sigma = priors.get(name, (None, np.inf))
+        parameter = PARAMETERS[name]
+        centre.append(0.0 if value is None else parameter.to_scale(value))
+        inverse_sigma.append(0.0 if value is None else (value if parameter.log else 1.0) / sigma)
+    steps = np.zeros((len(sky.time) - 1, len(own)))
+    if smooth:
+        hours = np.diff(sky.time) / np.timedelta64(1, "h")
+        if not np.all(hours > 0.0):
+            raise ValueError("`smooth` needs the times of the sky, increasing")
+        for name, sigma in smooth.items():
+            steps[:, own.index(name)] = 1.0 / (sigma * np.sqrt(hours))
+    scale = as_float(1.0 / calibration) if calibration > 0.0 else None
+    return Priors(as_float(centre), as_float(inverse_sigma), scale, as_float(steps))
+
+
+def _checked_priors(priors: dict, free: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    for name, entry in priors.items():
+        if name not in free:
+            raise ValueError(f"`priors` must name free parameters ({', '.join(free)}), got {name!r}")
+        value, sigma = (float(v) for v in entry)
+        parameter = PARAMETERS[name]
+        if not (parameter.lower <= value <= parameter.upper and sigma > 0.0 and np.isfinite(sigma)):
+            raise ValueError(
+                f"`priors` of {name} must be a value in [{parameter.lower:g}, {parameter.upper:g}] {parameter.unit} "
+                f"and a positive sigma, got {entry}"
+            )
+        priors[name] = value, sigma
+    return priors
+
+
+def _check_shared(shared: tuple[str, ...], smooth: dict, free: tuple[str, ...]) -> None:
+    for name in shared:
+        if name not in free:
+            raise ValueError(f"`shared` must name free parameters ({', '.join(free)}), got {name!r}")
+    for name, sigma in smooth.items():
+        if name not in free or name in shared:
+            raise ValueError(f"`smooth` must name free parameters that are not shared, got {name!r}")
+        if not 0.0 < sigma < np.inf:
+            raise ValueError(f"`smooth` of {name} must be a positive sigma per hour, got {sigma!r}")

@@ -1,0 +1,123 @@
+"""From the estimates of all times to a `Fit`: values in the user's order, the fitted sky, words."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..measured.quality.plausibility import doubts, poor_fit
+from ..numerics import as_float
+from ..numerics.least_squares import result_name
+from .parameters import PARAMETERS, with_values
+from .prepared import Prepared
+from .result import Fit, in_words, is_determined
+from .uncertainty import Estimate
+
+
+_WORDS = ("result", "undetermined")
+_LOBES = ("asymmetry", "asymmetry_second", "forward_fraction")
+
+
+def fit_of(asked: Prepared, groups: Sequence[np.ndarray], parts: Sequence[Estimate]) -> Fit:
+    """The estimates of all groups of times as one `Fit`."""
+    sky = asked.sky
+    rows: list[dict] = [{} for _ in sky.time]
+    for group, part in zip(groups, parts, strict=True):
+        for index, t in enumerate(group):
+            rows[t] = _row(asked, int(t), index, part)
+    stack: dict[str, Any] = {key: np.stack([row[key] for row in rows]) for key in rows[0] if key not in _WORDS}
+    words: dict[str, Any] = {key: tuple(row[key] for row in rows) for key in _WORDS}
+    judged = sky, stack["model"], asked.sampling.used
+    notes = (*asked.sampling.notes, *doubts(*judged, stack["reduced_chi_square"]))
+    pairs = zip(words["result"], poor_fit(*judged), strict=True)
+    words["result"] = tuple("poor_fit" if poor and name == "successful" else name for name, poor in pairs)
+    return Fit(
+        sky=sky, solver=asked.solver, free=asked.free, shared=asked.shared, used=asked.sampling.used,
+        start=asked.start, fwhm_nm=asked.sampling.fwhm_nm, measurement=asked.measurement, priors=asked.priors,
+        smooth=asked.smooth, response=asked.sampling.response, fitted_nm=sky.wavelength_nm[asked.chosen],
+        notes=notes, **stack, **words,
+    )  # fmt: skip
+
+
+def _row(asked: Prepared, t: int, index: int, part: Estimate) -> dict:
+    free, order = asked.free, asked.order
+    found, change = described_time(free, asked.shared, order, part.values[index], part.noise[index], part.model[index])
+    result = result_name(part.result) if bool(part.finite) else "failed"
+    calibration = np.asarray(part.calibration, float)
+    fitted = with_values(asked.start, free, as_float(found["values"]))
+    reading = asked.sampling.readings(asked.solver, fitted, t)
+    scale = np.interp(asked.sky.wavelength_nm, asked.sky.wavelength_nm[asked.chosen], calibration)
+    reading = reading * scale[None]
+    used = asked.sampling.used[t]
+    error = (reading - asked.sky.radiance[t])[used]
+    weight = np.ones((used.shape[0], asked.chosen.size))
+    held = np.asarray(asked.problem.weight[t]).any(axis=1)
+    place = asked.places[t][held]
+    weight[place] = np.asarray(part.weight[index], float)[held]
+    gain = np.zeros((len(order), *weight.shape))
+    gain[:, place] = np.einsum("pq,qdw->pdw", change, np.asarray(part.gain[index], float)[order][:, held])
+    triangle = np.asarray(part.triangle[index], float)[:, order] @ np.abs(change).T
+    return found | {
+        "model": reading,
+        "rmse": float(np.sqrt(np.mean(error**2))),
+        "reduced_chi_square": float(part.chi_square[index]),
+        "scale": float(part.scale[index]),
+        "degrees_of_freedom": float(part.freedom[index]),
+        "weight": np.where(used[:, asked.chosen], weight, np.nan),
+        "gain": gain,
+        "calibration": calibration,
+        "calibration_sigma": np.asarray(part.calibration_sigma, float),
+        "steps": int(part.steps),
+        "cost": float(part.cost),
+        "result": result,
+        "undetermined": in_words(free, found, triangle, asked.priors),
+    }
+
+
+def described_time(
+    free: tuple[str, ...], shared: tuple[str, ...], order: np.ndarray, values, noise, model
+) -> tuple[dict, np.ndarray]:
+    """What an estimate says of the parameters of one time, in the order in which the user named them.
+
+    **Arguments:** `order`, the place of each free name in the arrays; `values`, covariances `noise` and `model`.
+    **Returns:** values, sigma, covariance, model_sigma, at_bound, determined; the change that orders the lobes.
+    """
+    values, change = _ordered_lobes(free, shared, np.asarray(values, float)[order])
+    noise, model = (_turned(change, np.asarray(v, float)[np.ix_(order, order)]) for v in (noise, model))
+    covariance = noise + np.where(np.isfinite(noise), model, 0.0)
+    sigma = np.sqrt(np.diag(covariance))
+    found = {
+        "values": values,
+        "sigma": sigma,
+        "covariance": covariance,
+        "model_sigma": np.sqrt(np.diag(model)),
+        "at_bound": np.array([PARAMETERS[n].at_bound(v) for n, v in zip(free, values, strict=True)]),
+        "determined": is_determined(free, values, sigma),
+    }
+    return found, change
+
+
+def _ordered_lobes(free: tuple[str, ...], shared: tuple[str, ...], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The values with the narrower lobe first, which is the same phase function, and the matrix of that change."""
+    change = np.eye(len(free))
+    phase = set(free) & {*_LOBES, "forward_fraction_slope"}
+    # lobes of which only one is shared cannot change places at some of the times
+    if not set(_LOBES) <= phase or phase & set(shared) not in (set(), phase):
+        return values, change
+    first, second, share = (free.index(name) for name in _LOBES)
+    if not values[first] < values[second]:
+        return values, change
+    change[[first, second]] = change[[second, first]]
+    change[share] *= -1.0
+    if "forward_fraction_slope" in free:
+        change[free.index("forward_fraction_slope")] *= -1.0
+    ordered = change @ values
+    ordered[share] += 1.0
+    return ordered, change
+
+
+def _turned(change: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """The covariance after a signed permutation; infinite variances stay so, and what is not a number."""
+    known = ~np.isinf(covariance)
+    turned = change @ np.where(known, covariance, 0.0) @ change.T
+    return np.where(np.abs(change) @ (~known).astype(float) @ np.abs(change).T > 0.0, np.inf, turned)

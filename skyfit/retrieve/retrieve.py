@@ -1,0 +1,122 @@
+"""The pure core: from samples to parameters with covariance, for `jit`, `vmap` and `grad`."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+
+from ..measured.noise import Loss
+from ..numerics.chain import minimise, Point
+from ..numerics.least_squares import LOGISTIC_LIMIT
+from ..transport import AbstractSolver
+from .forward import Problem
+from .model import SkyModel
+from .parameters import PARAMETERS, partition
+from .residuals import calibration_of, Choices, cost, Numbers, objective, Priors, whitened
+from .uncertainty import described, End, Estimate, noise_scale
+
+
+def retrieve(
+    problem: Problem,
+    model: SkyModel,
+    free: Sequence[str],
+    *,
+    solver: AbstractSolver,
+    slopes: AbstractSolver | None = None,
+    shared: Sequence[str] = (),
+    priors: Priors | None = None,
+    start: Point | None = None,
+    loss: Loss = "huber",
+    threshold=3.0,
+    model_error=0.0,
+    max_steps=100,
+) -> Estimate:
+    """The parameters of some times of a sky and their covariance: pure, for `jit`, `vmap` and `grad`.
+
+    **Arguments:** `problem`, the samples; `model`, whose other values are not fitted; `free`, names among `PARAMETERS`;
+    `solver` of the radiance, `slopes` of its derivatives in the search and in sigma (default: the solver's draft);
+    `shared`, the free names that all times have in common; `priors` in the order (each time's own, shared); `start`,
+    unconstrained numbers in that order, `own` `[start, time, parameter]` and `shared` `[start, shared]` (default: the
+    model's values): the search goes from each of them, and once more from the best end with the noise that it left;
+    `loss` beyond `threshold` standard deviations; `model_error`, relative; `max_steps` of each search. Numbers may be
+    traced, names and solvers are static.
+    **Returns:** an `Estimate`, parameters in the order of `free`. Nothing is raised: `result` and `finite` tell.
+    **Valid:** the cost is linear in the number of times. The derivative by the samples and by what is fixed is that of
+    Gauss-Newton: exact where the residuals vanish, off by their share otherwise; `gain` is the one by the samples.
+    """
+    free = tuple(free)
+    choices = Choices(
+        tuple(n for n in free if n not in shared), tuple(n for n in free if n in shared), loss,
+        priors is not None and priors.calibration is not None,
+    )  # fmt: skip
+    dtype = problem.measured.dtype
+    times = problem.measured.shape[0]
+    if priors is None:
+        nothing = jnp.zeros(len(free), dtype)
+        priors = Priors(nothing, nothing, None, jnp.zeros((times - 1, len(choices.own)), dtype))
+    if start is None:
+        point = jnp.stack([PARAMETERS[n].place_of(model) for n in choices.names]).astype(dtype)
+        own, common = point[: len(choices.own)], point[len(choices.own) :]
+        start = Point(jnp.broadcast_to(own, (1, times, own.size)), common[None])
+    numbers = Numbers(*(jnp.asarray(v) for v in (threshold, model_error, max_steps)))
+    _, fixed = partition(model, free)
+    slopes = solver.coarser() if slopes is None else slopes
+    end = search(choices, numbers, (solver, slopes), fixed, problem, priors, start)
+    found = described(choices, numbers, problem, priors, end)
+    order = np.array([choices.names.index(n) for n in free])
+    return found._replace(
+        values=found.values[:, order],
+        noise=found.noise[:, order][:, :, order],
+        model=found.model[:, order][:, :, order],
+        triangle=found.triangle[..., order],
+        gain=found.gain[:, order],
+    )
+
+
+def search(
+    choices: Choices,
+    numbers: Numbers,
+    solvers: tuple[AbstractSolver, AbstractSolver],
+    fixed: SkyModel,
+    problem: Problem,
+    priors: Priors,
+    starts: Point,
+) -> End:
+    """The best end of the searches from all starts, then from there with residuals over the noise that they show.
+
+    The searches run one after the other through the same loop, so that the compiler sees the solvers once.
+    """
+    channels = problem.measured.shape[2]
+    none = channels if choices.calibrated else 0
+    dtype = problem.measured.dtype
+    box = jnp.concatenate([jnp.full(len(choices.shared), LOGISTIC_LIMIT), jnp.full(none, jnp.inf)])
+    limit = Point(jnp.full(starts.own.shape[1:], LOGISTIC_LIMIT, dtype), box.astype(dtype))
+    ones = jnp.ones(problem.measured.shape[0], dtype)
+    rows = objective(choices, *solvers)
+
+    def plain(point, known):
+        return whitened(problem, known, calibration_of(choices, point, channels), ones)
+
+    def one(best: End, item):
+        begin, last = item
+        begin = jax.tree.map(lambda a, b: jnp.where(last, a, b), best.point, begin)
+        scale = jnp.where(last, noise_scale(choices, *plain(best.point, best.known)), ones)
+        arguments = fixed, problem, priors, scale, numbers.threshold
+        point, known, steps, result = minimise(rows, begin, arguments, limit, none, numbers.max_steps)
+        total = cost(choices, numbers, priors, point, plain(point, known)[0])
+        total = jnp.where(jnp.isfinite(total), total, jnp.inf)
+        end = End(point, known, total, best.steps + steps, result)
+        better = last | (total < best.cost)
+        chosen = jax.tree.map(lambda a, b: jnp.where(better, a, b), end, best)
+        return chosen._replace(steps=end.steps), None
+
+    begins = Point(starts.own, jnp.concatenate([starts.shared, jnp.zeros((starts.own.shape[0], none), dtype)], axis=1))
+    first = jax.tree.map(lambda v: v[0], begins)
+    shapes = jax.eval_shape(lambda: rows(first, (fixed, problem, priors, ones, numbers.threshold))[1])
+    nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+    best = End(first, nothing, jnp.array(jnp.inf, dtype), jnp.array(0), optx.RESULTS.successful)
+    items = jax.tree.map(lambda v: jnp.concatenate([v, v[:1]]), begins)
+    last = jnp.arange(starts.own.shape[0] + 1) == starts.own.shape[0]
+    return jax.lax.scan(one, best, (items, last))[0]
