@@ -90,7 +90,8 @@ def simulate(
     with progress("simulating"):
         if analytic is None:
             chosen = make_solver(solver, preset, geometry, solver == "orders" if polarised is None else polarised)
-            kept = kept_radiance(chosen, atmosphere, scene, jax.config.jax_compilation_cache_dir)
+            folder = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+            kept = kept_radiance(chosen, atmosphere, scene, folder)
             radiance, model = np.asarray(kept, float), in_words(chosen)
         else:
             radiance, model = np.asarray(analytic.radiance(haze, scene), float), type(analytic).__name__
