@@ -40,7 +40,8 @@ def invert(
     **Arguments**
 
     - `sky` (`skyfit.read`); `free`, names among `PARAMETERS`; `solver`, default `OrdersOfScattering.normal()`,
-      polarised for spectral radiance, scalar for the channels of a `response`
+      spherical, polarised for spectral radiance, scalar for the channels of a `response`. The precision is that of the
+      process, float32 unless `jax_enable_x64` is set; `skyfit invert` has the same defaults and computes in float64
     - `start`: the values that are not fitted, and those of the free ones where the search begins; with `guess` the
       haze's begin where single scattering explains the sky best; `starts` - 1 random ones besides
     - `fwhm_nm`: line shape (default: the file's, or estimated from the solar lines); `response`:

@@ -11,7 +11,7 @@ from ...atmosphere import from_description
 from ...measured import Response
 from ...retrieve import Fitted, PARAMETERS, SkyModel, values_of, with_values
 from ...transport import AbstractSolver, SOLVERS
-from .schema import parse, shown
+from .schema import is_number, parse, shown
 
 
 def rebuilt(record: dict) -> Fitted:
@@ -44,7 +44,7 @@ def _response(about: dict | None) -> Response | None:
         return None
     try:
         rows = [about["wavelength_nm"], *about["weight"]]
-        if not all(isinstance(value, int | float) for row in rows for value in row):
+        if not all(is_number(value) for row in rows for value in row):
             raise ValueError("found something else than numbers")
         return Response(np.array(rows[0], float), np.array(rows[1:], float), tuple(about.get("names", ())))
     except (KeyError, TypeError, ValueError) as error:
