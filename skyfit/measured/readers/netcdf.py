@@ -415,7 +415,6 @@ def _moments(time: np.ndarray) -> tuple[np.ndarray, dict]:
     unit, step = ("seconds", 1_000_000_000) if whole else ("nanoseconds", 1)
     counted = np.where(known, nanoseconds // step, _NO_TIME)
     return counted, {"units": f"{unit} since 1970-01-01", "calendar": "proleptic_gregorian"}
->>>>>>> cli
 
 
 def axes(sky: Sky) -> tuple[str, str, str]:
