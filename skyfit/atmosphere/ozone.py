@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..numerics import read_table
+from ..numerics import hat_weights, read_table
 from ..scene import as_float
 from .constituent import AbstractConstituent
 from .profile import AbstractProfile, OzoneLayer
@@ -31,7 +31,8 @@ class Ozone(AbstractConstituent):
 
     def extinction(self, wavelength_nm):
         table = read_table("spectrl2_absorption.csv")
-        per_atm_cm = jnp.interp(wavelength_nm, as_float(table["wavelength_nm"]), as_float(table["ozone_absorption"]))
+        weights = hat_weights(wavelength_nm, as_float(table["wavelength_nm"]))
+        per_atm_cm = weights @ as_float(table["ozone_absorption"])
         return per_atm_cm * (self.column / DOBSON_PER_ATM_CM)
 
     def albedo(self, wavelength_nm):
