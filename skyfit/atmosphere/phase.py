@@ -118,7 +118,7 @@ def _henyey_greenstein(haversine, asymmetry):
 
 
 def _powers(asymmetry, count: int):
-    return jnp.cumprod(jnp.concatenate([jnp.ones(1), jnp.full(count - 1, asymmetry)]))
+    return asymmetry ** np.arange(count)
 
 
 class HenyeyGreenstein(AbstractPhase):

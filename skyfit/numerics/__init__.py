@@ -2,6 +2,7 @@ from .guarded import (
     exp_mean as exp_mean,
     phi1 as phi1,
     phi_functions as phi_functions,
+    polynomial as polynomial,
     safe_sqrt as safe_sqrt,
 )
 from .interpolation import (

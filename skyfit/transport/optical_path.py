@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..atmosphere import AbstractProfile, Exponential, Layered, Levels, OzoneLayer
-from ..numerics import gauss_legendre, hat_weights, safe_sqrt
+from ..numerics import gauss_legendre, hat_weights, polynomial, safe_sqrt
 from .solver import Geometry
 
 
@@ -82,13 +82,7 @@ def _grazing(x):
     near = 1.0 / (1.0 + 0.4 * x)
     place = 2.0 * near - 1.0
 
-    def polynomial(coefficients):
-        value = coefficients[-1]
-        for c in coefficients[-2::-1]:
-            value = value * place + c
-        return near * value
-
-    return polynomial(_ERFCX), polynomial(_CURVATURE)
+    return near * polynomial(_ERFCX, place), near * polynomial(_CURVATURE, place)
 
 
 def chapman_column(scale_height, height, cosine):
@@ -217,9 +211,11 @@ def slant_column(
     """
     if geometry == "flat":
         return outward_column(profile, height, cosine, geometry)
-    outward = outward_column(profile, height, jnp.abs(cosine), geometry)
     lowest = jnp.maximum(tangent_height(height, cosine), 0.0)
-    through = 2.0 * outward_column(profile, lowest, jnp.zeros_like(lowest), geometry) - outward
+    # from here and from the lowest point: one program for both
+    ends = jnp.stack([height, lowest]), jnp.stack([jnp.abs(cosine), jnp.zeros_like(cosine)])
+    outward, half = outward_column(profile, *ends, geometry)
+    through = 2.0 * half - outward
     return jnp.where(cosine >= 0.0, outward, jnp.maximum(through, outward))
 
 

@@ -201,8 +201,10 @@ def eye_column(
     profile: AbstractProfile, views: Views, points: Points, geometry: Geometry
 ) -> Float[Array, "direction node"]:
     """The column between the eye and points on its views, in units of the vertical column from the ground."""
-    here = outward_column(profile, views.height, jnp.abs(views.cosine), geometry)[:, None]
-    there = outward_column(profile, points.height, jnp.abs(points.view_cosine), geometry)
+    height = jnp.concatenate([views.height[:, None], points.height], axis=1)
+    cosine = jnp.abs(jnp.concatenate([views.cosine[:, None], points.view_cosine], axis=1))
+    outward = outward_column(profile, height, cosine, geometry)
+    here, there = outward[:, :1], outward[:, 1:]
     climbed = here - there
     if not views.aloft:
         return jnp.maximum(climbed, 0.0)
