@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractConstituent, Atmosphere
 from ..scene import Scene
-from .optical_path import slant_column, sunlit, TOP_OF_AIR
+from .optical_path import slant_columns, sunlit, TOP_OF_AIR
 from .single import scatterer_indices
 from .solver import Geometry, optics
 
@@ -160,7 +160,7 @@ def layered(
     fraction = scattered / jnp.where(depth > 0.0, depth, 1.0)[None]
     sun_cosine = jnp.cos(scene.sun_zenith)
     cosine = sun_cosine + jnp.zeros_like(height)
-    slant = jnp.stack([slant_column(c.profile, height, cosine, geometry) for c in constituents])
+    slant = slant_columns([c.profile for c in constituents], height, cosine, geometry)
     slant = jnp.where((np.arange(height.shape[0]) == 0)[None] & (sun_cosine >= 0.0), 0.0, slant)
     sun_depth = slant.T @ scaled.extinction
     lit = sunlit(height, cosine, geometry)
