@@ -174,7 +174,7 @@ def linearised(
     low, high = (jnp.asarray(ends, scaled.dtype) for ends in zip(*(PARAMETERS[n].ends() for n in names), strict=True))
     step = _DIFFERENCE * (high - low)
     ahead, behind = jnp.minimum(scaled + step, high) - scaled, jnp.maximum(scaled - step, low) - scaled
-    around = jnp.concatenate([scaled + jnp.diag(ahead), scaled + jnp.diag(behind)])
+    around = jnp.concatenate([scaled[None] + jnp.diag(ahead), scaled[None] + jnp.diag(behind)])
 
     def read(solver, scaled):
         values = [PARAMETERS[n].from_scale(scaled[i]) for i, n in enumerate(names)]
