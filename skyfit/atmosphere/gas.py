@@ -79,7 +79,7 @@ class Gas(AbstractGas):
         )
 
     def absorption(self, wavelength_nm):
-        return hat_weights(wavelength_nm, self.table_wavelength_nm) @ self.absorption_per_unit
+        return hat_weights(as_float(wavelength_nm), self.table_wavelength_nm) @ self.absorption_per_unit
 
 
 class Ozone(AbstractGas):
@@ -111,7 +111,7 @@ class Ozone(AbstractGas):
         else:
             shipped = read_table("spectrl2_absorption.csv")
             nm, per_dobson = shipped["wavelength_nm"], shipped["ozone_absorption"] / (_M_PER_CM * DOBSON_PER_METRE)
-        return hat_weights(wavelength_nm, as_float(nm)) @ as_float(per_dobson)
+        return hat_weights(as_float(wavelength_nm), as_float(nm)) @ as_float(per_dobson)
 
 
 def preetham_absorption(name: str) -> tuple[Float[np.ndarray, " band"], Float[np.ndarray, " band"]]:

@@ -132,7 +132,7 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     instrument = instrument_gain(calibration, problem)
     # a unit on the parameter's scale is one e-fold, or the range
     unit = jnp.where(log, 1.0, as_float([PARAMETERS[n].spread(1.0) for n in names]))
-    columns = known.jacobian * (weight * instrument)[..., None] * unit
+    columns = known.jacobian * (weight * instrument)[..., None] * unit[None, None]
     by_channel = None
     if choices.calibrated:
         by_channel = known.radiance * weight[:, : directions * channels].reshape(problem.measured.shape)
