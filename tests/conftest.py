@@ -7,10 +7,6 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-
-# before LAPACK is loaded: its threads wait for one another by spinning, and beside a second process for minutes
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import hypothesis
 import jax
 import pytest

@@ -1,7 +1,6 @@
-"""The README says what is measured and its code runs."""
+"""README and docs say what is measured, point to what exists, and their code runs."""
 
 import importlib
-import json
 import re
 import subprocess
 import sys
@@ -11,25 +10,29 @@ import pytest
 
 
 ROOT = Path(__file__).resolve().parents[1]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 
 
-def test_the_figures_are_those_of_the_result_file():
-    module = importlib.import_module("experiments.readme_tables")
-    assert module.updated(README, json.loads(module.RESULT.read_text())) == README
+def test_the_figures_are_those_of_the_result_files():
+    for path, text in importlib.import_module("experiments.figures").updated().items():
+        assert text == path.read_text(encoding="utf-8"), f"python -m experiments.figures makes another {path.name}"
 
 
-def test_what_it_points_to_exists():
-    targets = re.findall(r"\]\(([^)#:]+)\)", README)
-    assert targets
-    for target in targets:
-        assert (ROOT / target).exists(), target
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_what_it_points_to_exists(page: Path):
+    for target in re.findall(r"\]\(([^)#:]+)[^)]*\)", page.read_text(encoding="utf-8")):
+        assert (page.parent / target).exists(), target
 
 
 @pytest.mark.slow
 def test_its_python_runs(tmp_path: Path):
-    blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    assert len(blocks) >= 3
+    pages = [(ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/guide.md")]
+    blocks = [block for page in pages for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL)]
+    assert len(blocks) >= 5
     (tmp_path / "data").symlink_to(ROOT / "data")
     check = (
         "\nassert radiance.shape == (343, 41) and slope.shape == radiance.shape\nassert fit.result == ('successful',)\n"

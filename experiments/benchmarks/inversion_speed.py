@@ -9,15 +9,11 @@ Writes experiments/results/inversion_speed.json. The scan is the measured one of
 import argparse
 import importlib.metadata
 import json
-import os
 import pathlib
 import platform
 import statistics
 import subprocess
 import time
-
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import equinox as eqx
 import jax

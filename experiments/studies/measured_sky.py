@@ -11,15 +11,10 @@ import argparse
 import csv
 import importlib.metadata
 import json
-import os
 import pathlib
 import platform
 import subprocess
 import sys
-
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 from dataclasses import replace
 
 import equinox as eqx

@@ -12,14 +12,9 @@ import argparse
 import csv
 import importlib.metadata
 import json
-import os
 import pathlib
 import platform
 import time
-
-
-# before LAPACK is loaded, see tests/conftest.py
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jax
 

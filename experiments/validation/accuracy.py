@@ -200,12 +200,19 @@ def sample() -> dict:
     truth = json.loads((HERE.parent / "data" / "skies" / "sample_truth.json").read_text())["parameters"]
     # made by a polarised solver, with the haze at the height and of the polarisation that are assumed
     measurement = skyfit.Measurement(model_error=0.001)
-    fit = skyfit.invert(skyfit.read(HERE.parent / "data" / "skies" / "sample.nc"), FREE, measurement=measurement)
+    sky = skyfit.read(HERE.parent / "data" / "skies" / "sample.nc")
+    fit = skyfit.invert(sky, FREE, measurement=measurement)
     parameters = {
         name: {"truth": truth[TRUTH[name]]["value"], "value": float(fit.values[0, i]), "sigma": float(fit.sigma[0, i])}
         for i, name in enumerate(FREE)
     }
-    return {"parameters": parameters, "result": fit.result[0], "reduced_chi_square": float(fit.reduced_chi_square[0])}
+    return {
+        "parameters": parameters,
+        "result": fit.result[0],
+        "reduced_chi_square": float(fit.reduced_chi_square[0]),
+        # what the README shows, with the default model error
+        "printed": str(skyfit.invert(sky, FREE)),
+    }
 
 
 def main():

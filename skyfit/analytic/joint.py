@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics import as_float
+from ..numerics import as_float, triangle
 from ..numerics.least_squares import least_squares, LOGISTIC_LIMIT, Solution
 from .analytic import AbstractAnalyticSky
 from .extended import ExtendedPreetham
@@ -165,8 +165,8 @@ def _reduced(numbers, values, gamma, sun, zenith, weight):
 
     fixed = jax.lax.stop_gradient(numbers)
     jacobian, whole = jax.jacfwd(lambda six: (residual(six),) * 2, has_aux=True)(fixed)
-    orthogonal, triangle = jnp.linalg.qr(jacobian)
-    inside = orthogonal.T @ whole
-    outside = jnp.linalg.norm(whole - orthogonal @ inside)
-    constant = jax.lax.stop_gradient((inside, triangle, outside))
+    factor = triangle(jnp.concatenate([jacobian, whole[:, None]], axis=1))
+    count = numbers.size
+    # Q^T b, R, and the length of what is left of b
+    constant = jax.lax.stop_gradient((factor[:count, -1], factor[:count, :-1], jnp.abs(factor[count, -1])))
     return jnp.concatenate([constant[0] + constant[1] @ (numbers - fixed), constant[2][None]])

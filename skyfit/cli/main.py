@@ -16,8 +16,6 @@ _COMMANDS = (simulate, refit, invert)
 
 def main() -> None:
     """The entry point: double precision, a persistent compilation cache, one-line errors with exit code 2."""
-    # LAPACK, loaded at the first fit: its threads wait for one another by spinning, beside other work for minutes
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     jax.config.update("jax_enable_x64", True)
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "skyfit"
     jax.config.update("jax_compilation_cache_dir", str(cache))

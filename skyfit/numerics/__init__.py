@@ -1,4 +1,10 @@
 from .dtype import as_float as as_float
+from .factor import (
+    singular as singular,
+    solve_upper as solve_upper,
+    triangle as triangle,
+    tridiagonal_inverse as tridiagonal_inverse,
+)
 from .guarded import exp_mean as exp_mean, phi1 as phi1, phi_functions as phi_functions, safe_sqrt as safe_sqrt
 from .interpolation import (
     chebyshev_nodes as chebyshev_nodes,

@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
+from .factor import solve_upper, triangle
+
 
 # standard deviations of the residuals by which a step of one in an unconstrained unknown must pay: what does less is
 # left where it is, for the data do not determine it
@@ -171,10 +173,10 @@ def _triangle(rows: Float[Array, "row column"], count: int) -> Float[Array, "cou
     """The first `count` rows of R, filled up with empty ones; with positive diagonal, so that R follows its matrix."""
     if rows.shape[0] == 0 or rows.shape[1] == 0:
         return jnp.zeros((count, rows.shape[1]), rows.dtype)
-    triangle = jnp.linalg.qr(rows, mode="r")
-    sign = jnp.where(jnp.diagonal(triangle) < 0.0, -1.0, 1.0)
-    triangle = (triangle[: sign.size] * sign[:, None])[:count]
-    return jnp.pad(triangle, ((0, count - triangle.shape[0]), (0, 0)))
+    factor = triangle(rows)
+    sign = jnp.where(jnp.diagonal(factor) < 0.0, -1.0, 1.0)
+    factor = (factor * sign[:, None])[:count]
+    return jnp.pad(factor, ((0, count - factor.shape[0]), (0, 0)))
 
 
 def reduced(own, common, right, count: int):
@@ -192,15 +194,15 @@ def solve_chain(blocks: Blocks) -> tuple[Float[Array, "time parameter side"], Fl
     own, shared = blocks.own.shape[2], blocks.common.shape[2]
     done = _eliminate(blocks)
     if shared:
-        triangle = _triangle(done.last[:, own:], shared)
-        common = -jax.scipy.linalg.solve_triangular(triangle[:, :shared], triangle[:, shared:])
+        last = _triangle(done.last[:, own:], shared)
+        common = -solve_upper(last[:, :shared], last[:, shared:])
     else:
         common = jnp.zeros((0, blocks.right.shape[2]), blocks.own.dtype)
 
     def back(later, pivot):
         right = pivot[:, 2 * own + shared :] + pivot[:, own : 2 * own] @ later
         right = right + pivot[:, 2 * own : 2 * own + shared] @ common
-        here = -jax.scipy.linalg.solve_triangular(pivot[:, :own], right)
+        here = -solve_upper(pivot[:, :own], right)
         return here, here
 
     nothing = jnp.zeros((own, blocks.right.shape[2]), blocks.own.dtype)

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, Int, PyTree
 
+from .factor import singular, solve_upper, triangle
+
 
 # logistic transforms of bounded parameters are flat beyond this: 3e-4 of the range is left to the bound
 LOGISTIC_LIMIT = 8.0
@@ -36,8 +38,10 @@ class MarquardtDescent(optx.AbstractDescent):
         return _MarquardtState(y, jnp.zeros((y.size, y.size), y.dtype), jnp.zeros_like(y))
 
     def query(self, y, f_info, state):
-        orthogonal, triangle = jnp.linalg.qr(f_info.jac.as_matrix())
-        return _MarquardtState(y, triangle, orthogonal.T @ f_info.residual)
+        # R and the first numbers of Q^T r; fewer samples than parameters leave rows out
+        whole = triangle(jnp.concatenate([f_info.jac.as_matrix(), f_info.residual[:, None]], axis=1))[: y.size]
+        whole = jnp.pad(whole, ((0, y.size - whole.shape[0]), (0, 0)))
+        return _MarquardtState(y, whole[:, :-1], whole[:, -1])
 
     def step(self, step_size, state):
         damping = jnp.sqrt(self.first_damping / step_size)
@@ -47,9 +51,10 @@ class MarquardtDescent(optx.AbstractDescent):
             column = jnp.linalg.norm(free, axis=0)
             # a parameter without any influence stays where it is
             column = jnp.where(column > 0.0, damping * column, 1.0)
-            orthogonal, triangle = jnp.linalg.qr(jnp.concatenate([free, jnp.diag(column)]))
-            right = orthogonal[: state.projected.size].T @ state.projected
-            return -jax.scipy.linalg.solve_triangular(triangle, right)
+            right = jnp.concatenate([state.projected, jnp.zeros_like(column)])
+            rows = jnp.concatenate([free, jnp.diag(column)])
+            whole = triangle(jnp.concatenate([rows, right[:, None]], axis=1))[: column.size]
+            return -solve_upper(whole[:, :-1], whole[:, -1])
 
         # held at the edge: where the cost falls outward, then where the step of the others would still lead out
         at_edge = jnp.abs(state.point) >= self.limit
@@ -140,17 +145,17 @@ def covariance(
     stated covariance (0), the others are as if such combinations were held.
     **Source:** Golub & Van Loan, Matrix Computations, sec. 5.3 and 5.5.
     """
-    triangle = jnp.linalg.qr(jacobian * scale[None], mode="r")
-    column = jnp.linalg.norm(triangle, axis=0)
+    factor = triangle(jacobian * scale[None])
+    column = jnp.linalg.norm(factor, axis=0)
     unit = jnp.where(column > 0.0, column, 1.0)
-    _, singular, rows = jnp.linalg.svd(triangle / unit[None])
+    sizes, rows = singular(factor / unit[None])
     rounding = jnp.finfo(jacobian.dtype).eps
-    known = singular > singular.size * rounding * singular[0]
-    inverse = jnp.where(known, 1.0 / jnp.where(known, singular, 1.0), 0.0)
+    known = sizes > sizes.size * rounding * sizes[0]
+    inverse = jnp.where(known, 1.0 / jnp.where(known, sizes, 1.0), 0.0)
     within = (rows.T * inverse[None] ** 2) @ rows
     unknown = jnp.any(~known[:, None] & (jnp.abs(rows) > jnp.sqrt(rounding)), axis=0)
     size = scale / unit
     within = within * size[:, None] * size[None]
     involved = unknown[:, None] | unknown[None]
     infinite = jnp.where(jnp.eye(size.size, dtype=bool), jnp.inf, 0.0)
-    return jnp.where(involved, infinite, within), triangle
+    return jnp.where(involved, infinite, within), factor

@@ -107,10 +107,8 @@ def fit_chunks(
     """
     devices = jax.local_devices()
     mesh = Mesh(np.array(devices), ("time",))
-    # a thread for each core, which the small matrices of one fit do not keep busy. Not with fits in lock-step: LAPACK
-    # then shares each call out to XLA's threads and waits for them, for ever where all of them wait
-    alone = len(devices) == 1 and devices[0].platform == "cpu" and batch_size == 1
-    workers = (os.cpu_count() or 1) if alone else 1
+    # a thread for each core, which the small matrices of one fit do not keep busy
+    workers = (os.cpu_count() or 1) if len(devices) == 1 and devices[0].platform == "cpu" else 1
     width = -(-chunk // len(devices)) * len(devices)
     wrong, priors = flaws(asked), asked.rows._replace(step=asked.rows.step[:0])
     waiting = (times[i : i + width] for i in range(0, len(times), width))

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..numerics import as_float
+from ..numerics import as_float, triangle
 from ..numerics.chain import Blocks, damped, marginal_rows, Point, solve_chain
 from ..numerics.least_squares import covariance
 from .forward import Problem
@@ -163,7 +163,7 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     spreads = jax.vmap(lambda rows: covariance(rows, every)[0])(marginal)
     # the channels' scales first, so that what is left is of the parameters alone
     order = jnp.concatenate([marginal[..., count:], marginal[..., :count]], axis=2)
-    triangles = jnp.linalg.qr(order, mode="r")[:, scales:, scales:]
+    triangles = jax.vmap(triangle)(order)[:, scales:, scales:]
     shift_own, shift_shared = solve_chain(damped(blocks, size))
     parameters = len(choices.shared)
     shift = jnp.concatenate(

@@ -10,8 +10,8 @@ import jax
 import numpy as np
 
 from ...measured import atomic, Sky, write_sky
-from ...measured.readers.netcdf import axes, degrees, write_netcdf
 from ...measured.units import RADIANCE
+from ...measured.writers import axes, degrees, write_netcdf
 from ...measured.writing import skyfit_version
 from ...retrieve import Derived, Fit, haze_optics, PARAMETERS, values_of
 from ...retrieve.parameters import partition

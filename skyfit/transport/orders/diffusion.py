@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...numerics import tridiagonal_inverse
+
 
 # optical depth between layers below which they count as one: diffusion guides the sweeps, it does not decide
 _THIN = 1e-4
@@ -50,12 +52,9 @@ def diffusion(
 
     above, below = jnp.concatenate([top, inner]), jnp.concatenate([inner, bottom])
     diagonal = depth * (1.0 - albedo) + above + below
-    # each by itself: LAPACK's threads wait for one another, for ever where two programs run at once
-    none, unit = jnp.zeros_like(top), jnp.eye(depth.shape[0], dtype=depth.dtype)
+    none = jnp.zeros_like(top)
     diagonals = jnp.concatenate([none, -inner]).T, diagonal.T, jnp.concatenate([-inner, none]).T
-    inverse = jax.lax.map(
-        lambda d: jax.lax.linalg.tridiagonal_solve(d[0], d[1], d[2], unit), jax.lax.stop_gradient(diagonals)
-    )
+    inverse = jax.vmap(tridiagonal_inverse)(*jax.lax.stop_gradient(diagonals))
 
     def balance(even, mean, extra):
         """What a layer gains of the light that is scattered in it, less what it loses."""

@@ -1,4 +1,4 @@
-"""Puts the figures of experiments/results/*.json into README.md, between its markers."""
+"""Puts the figures of experiments/results/*.json into README.md and docs/accuracy.md, between their markers."""
 
 import json
 import pathlib
@@ -6,6 +6,7 @@ import pathlib
 
 HERE = pathlib.Path(__file__).resolve().parent
 README = HERE.parent / "README.md"
+ACCURACY = HERE.parent / "docs" / "accuracy.md"
 RESULT = HERE / "results" / "accuracy.json"
 BENCHMARK = HERE / "results" / "benchmark.json"
 REFIT = HERE / "results" / "refit.json"
@@ -18,7 +19,9 @@ INVERSION = HERE / "results" / "inversion_speed.json"
 MANY = HERE / "results" / "fit_many.json"
 POLARISATION = HERE / "results" / "polarisation.json"
 GEOMETRIES = ("flat", "spherical")
-START, END = "<!-- figures of experiments/results/accuracy.json -->", "<!-- end of figures -->"
+TABLES = "<!-- figures of experiments/results/accuracy.json -->", "<!-- end of figures -->"
+SUMMARY = "<!-- summary of experiments/results -->", "<!-- end of summary -->"
+PRINTED = "<!-- printed fit of experiments/results/accuracy.json -->", "<!-- end of printed fit -->"
 
 
 def tables(record: dict) -> str:
@@ -255,18 +258,70 @@ def pictures(aerial: dict, dome: dict) -> str:
     return "\n".join(lines)
 
 
-def updated(text: str, record: dict) -> str:
-    """The README's text with the tables made anew."""
-    before, rest = text.split(START)
-    _, after = rest.split(END)
-    refit, fits, benchmark, aerial, dome = (json.loads(p.read_text()) for p in (REFIT, FITS, BENCHMARK, AERIAL, DOME))
-    own = (json.loads(path.read_text()) for path in (MEASURED, RECOVERY, INVERSION, MANY))
-    vector = polarised(record, json.loads(POLARISATION.read_text()))
-    parts = "\n\n".join(
-        (tables(record), vector, inverted(*own), speed(benchmark), analytic(refit, fits), pictures(aerial, dome))
+def summary(record: dict, measured: dict, recovery: dict, refit: dict) -> str:
+    """The README's one table: what is compared, with what, how far apart."""
+    by_oracle = {
+        (row["solver"], row["preset"], row["geometry"], row["max_sun_zenith"]): row for row in record["oracles"]
+    }
+    lines = ["| what | against | median error | max error |", "|---|---|---|---|"]
+
+    def error(what, against, row):
+        middle, most = (100 * row[key] for key in ("median_relative_error", "max_relative_error"))
+        lines.append(f"| {what} | {against} | {middle:.2g} % | {most:.2g} % |")
+
+    sun_85 = [key for key in by_oracle if key[:3] == ("orders", "normal", "flat")][0]
+    sun_80 = min(key for key in by_oracle if key[:3] == ("orders", "normal", "spherical"))
+    error("single scattering, `normal`, sun to 95°", "quadrature", by_oracle[("single", "normal", "spherical", 95.0)])
+    error("all orders, `normal`, flat, to 85°", "discrete ordinates, 32 streams", by_oracle[sun_85])
+    error("all orders, `normal`, spherical, to 80°", "Monte Carlo (itself 0.1-0.4 %)", by_oracle[sun_80])
+    vector = next(row for row in record["vector"]["rows"] if row["preset"] == "normal" and row["polarised"])
+    error("polarised, `normal`, air of optical depth to 1", "tables of Natraj et al. 2009", vector)
+    best = min(measured["peers"], key=lambda name: measured["peers"][name]["all"])
+    lines += [
+        "",
+        f"Eight measured skies (Kider et al. 2014) are fitted to {measured['alone']['all']:.1f} mW m⁻² sr⁻¹ nm⁻¹ RMSE; "
+        f"the best unfitted model of others, {best}, has {measured['peers'][best]['all']:.1f}.",
+    ]
+    depth = recovery["sasktran2 flat, normal"]["parameters"]["aerosol_optical_depth"]
+    extended = refit["extended"]["held_out"]["overall"]["refitted"]
+    lines += [
+        f"In 100 skies of sasktran2 with 1 % noise, {100 * depth['share within 2 sigma']:.0f} % of the aerosol optical "
+        "depths are within two sigma.",
+        f"`ExtendedPreetham` has the luminance of skies it has not seen to {100 * extended['luminance']:.1f} % (median).",
+        "[docs/accuracy.md](docs/accuracy.md) has all tables, and time beside error.",
+    ]
+    return "\n".join(lines)
+
+
+def between(text: str, marks: tuple[str, str], content: str) -> str:
+    """The text with other content between two marks."""
+    before, rest = text.split(marks[0])
+    _, after = rest.split(marks[1])
+    return f"{before}{marks[0]}\n{content}\n{marks[1]}{after}"
+
+
+def updated() -> dict[pathlib.Path, str]:
+    """The pages with their figures made anew."""
+
+    def read(path):
+        return json.loads(path.read_text())
+
+    record, measured, recovery, refit = (read(path) for path in (RESULT, MEASURED, RECOVERY, REFIT))
+    tables_of = "\n\n".join(
+        (
+            tables(record),
+            polarised(record, read(POLARISATION)),
+            inverted(measured, recovery, read(INVERSION), read(MANY)),
+            speed(read(BENCHMARK)),
+            analytic(refit, read(FITS)),
+            pictures(read(AERIAL), read(DOME)),
+        )
     )
-    return f"{before}{START}\n{parts}\n{END}{after}"
+    readme = between(README.read_text(), SUMMARY, summary(record, measured, recovery, refit))
+    readme = between(readme, PRINTED, f"```\n{record['sample']['printed']}\n```")
+    return {README: readme, ACCURACY: between(ACCURACY.read_text(), TABLES, tables_of)}
 
 
 if __name__ == "__main__":
-    README.write_text(updated(README.read_text(), json.loads(RESULT.read_text())))
+    for path, text in updated().items():
+        path.write_text(text)

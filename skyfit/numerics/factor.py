@@ -1,0 +1,75 @@
+"""Factors of small matrices without LAPACK's threads and without a wait for XLA's."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def triangle(rows: Float[Array, "row column"]) -> Float[Array, "rank column"]:
+    r"""R of a QR by Householder reflections, whose sign is LAPACK's; of $[A, b]$ the last column is $Q^T b$.
+
+    Not `jnp.linalg.qr`: OpenBLAS shares out more than some 9000 numbers to its threads, which wait by yielding, 300
+    times as long as the work takes; and jaxlib 0.10 shares out a batch to XLA's threads, for ever where all wait so.
+
+    **Arguments:** `rows`, few columns: the work of each is a pass over all of them.
+    **Returns:** the upper triangle, as many rows as the smaller side.
+    **Source:** Golub & Van Loan, Matrix Computations, sec. 5.1 and 5.2.
+    """
+    place, rank = jnp.arange(rows.shape[0]), min(rows.shape)
+
+    def reflect(k, columns):
+        column = jnp.where(place >= k, columns[k], 0.0)
+        largest = jnp.max(jnp.abs(column))
+        column = column / jnp.where(largest > 0.0, largest, 1.0)
+        length, head = jnp.sqrt(jnp.sum(column**2)), column[k]
+        end = jnp.where(head < 0.0, length, -length)
+        mirror = jnp.where(place == k, head - end, column)
+        square = end * (end - head)
+        share = columns @ mirror / jnp.where(square > 0.0, square, 1.0)
+        return columns - share[:, None] * mirror[None]
+
+    # the last row has nothing below it; with columns as rows memory is passed over in its order
+    columns = jax.lax.fori_loop(0, min(rank, rows.shape[0] - 1), reflect, rows.T)
+    return jnp.triu(columns[:, :rank].T)
+
+
+@jax.custom_batching.sequential_vmap
+def _singular(matrix: Float[Array, "row column"]):
+    return _with_lapack(matrix)
+
+
+def _with_lapack(matrix):
+    return jnp.linalg.svd(matrix)[1:]
+
+
+@jax.custom_jvp
+def singular(matrix: Float[Array, "row column"]):
+    """Singular values and right vectors of a small matrix, one matrix of a batch after the other, see `triangle`."""
+    return _singular(matrix)
+
+
+@singular.defjvp
+def _singular_tangent(primals, tangents):
+    return jax.jvp(_with_lapack, primals, tangents)
+
+
+def solve_upper(
+    matrix: Float[Array, "parameter parameter"], right: Float[Array, "parameter ..."]
+) -> Float[Array, "parameter ..."]:
+    """The solution of an upper triangle, from its last row up."""
+    count = matrix.shape[0]
+
+    def substitute(k, solution):
+        row = count - 1 - k
+        return solution.at[row].set((right[row] - matrix[row] @ solution) / matrix[row, row])
+
+    # without an unknown the body, which is traced all the same, has no row
+    return jax.lax.fori_loop(0, count, substitute, jnp.zeros_like(right)) if count else right
+
+
+@jax.custom_batching.sequential_vmap
+def tridiagonal_inverse(
+    lower: Float[Array, " level"], diagonal: Float[Array, " level"], upper: Float[Array, " level"]
+) -> Float[Array, "level level"]:
+    """The inverse of a matrix of three diagonals, one of a batch after the other, see `triangle`."""
+    return jax.lax.linalg.tridiagonal_solve(lower, diagonal, upper, jnp.eye(diagonal.shape[0], dtype=diagonal.dtype))
