@@ -287,7 +287,8 @@ def summary(record: dict, measured: dict, recovery: dict, refit: dict) -> str:
     lines += [
         f"In 100 skies of sasktran2 with 1 % noise, {100 * depth['share within 2 sigma']:.0f} % of the aerosol optical "
         "depths are within two sigma.",
-        f"`ExtendedPreetham` has the luminance of skies it has not seen to {100 * extended['luminance']:.1f} % (median).",
+        "`ExtendedPreetham` has the luminance of skies it has not seen to "
+        f"{100 * extended['luminance']:.1f} % (median).",
         "[docs/accuracy.md](docs/accuracy.md) has all tables, and time beside error.",
     ]
     return "\n".join(lines)

@@ -11,10 +11,9 @@ import xarray
 from skies import fit_of_made_sky
 
 import skyfit
-import skyfit.cli.invert as command
-from skyfit.cli import app
+from skyfit.cli import app, known, programs
 from skyfit.cli.fit_report import print_fit
-from skyfit.cli.simulate import turbidity_of
+from skyfit.cli.models import turbidity_of
 from skyfit.retrieve import DEFAULT_FREE, PARAMETERS, PARTICLE_FREE, SLOW
 
 
@@ -84,6 +83,7 @@ def test_simulate_writes_a_sky_that_read_takes(chain):
     assert np.degrees(sky.sun_azimuth) == pytest.approx([180.0])
     assert sky.fwhm_nm == 5.0 and sky.altitude_m == 0.0 and np.isnat(sky.time).all()
     assert "sky.nc" in printed and "343 directions, 14 wavelengths" in printed and narrow(printed)
+    assert "model: SingleScattering, flat, scalar (polarisation left out), float64" in printed
 
 
 def test_the_simulated_sky_is_the_solvers_own(chain):
@@ -118,7 +118,7 @@ def test_fit_json_has_the_keys_of_its_schema(chain):
         "atmosphere", "measurement", "priors", "smooth", "free", "shared", "fixed", "calibration", "times",
         "total_rmse", "notes",
     }  # fmt: skip
-    assert (record["schema"], record["version"], record["source"]) == ("skyfit.fit", 2, "sky.nc")
+    assert (record["schema"], record["version"], record["source"]) == ("skyfit.fit", 3, "sky.nc")
     assert record["solver"] == {"name": "SingleScattering", "nodes": 12, "geometry": "flat"}
     assert record["geometry"] == "flat" and record["instrument"] == {"fwhm_nm": 5.0, "response": None}
     assert set(record["station"]) == {"latitude_deg", "longitude_deg", "altitude_m", "pressure_pa"}
@@ -198,7 +198,7 @@ def two_skies(path):
     )
     radiance = np.stack([
         solver.radiance(
-            replace(skyfit.Atmosphere.from_turbidity(turbidity), ozone=skyfit.Ozone(350.0)),
+            skyfit.Atmosphere.from_turbidity(turbidity).replace(ozone=skyfit.Ozone(350.0)),
             skyfit.Scene.from_degrees(zenith, view, wavelength, 180.0),
         )
         for zenith, turbidity in ((50.0, 3.0), (40.0, 3.3))
@@ -260,13 +260,13 @@ def test_a_file_of_two_times_shares_what_is_slow(skyfit_command, tmp_path):
 
 def asked(monkeypatch, folder, *words):
     """What `skyfit invert` asks of `skyfit.invert`, by name; the program itself ends there."""
-    found = {}
+    found, parameters = {}, inspect.signature(skyfit.invert)
 
     def ask(*values, **named):
-        found.update(inspect.signature(skyfit.invert).bind(*values, **named).arguments)
+        found.update(parameters.bind(*values, **named).arguments)
         raise ValueError("asked")
 
-    monkeypatch.setattr(command, "invert", ask)
+    monkeypatch.setattr(skyfit.retrieve, "invert", ask)
     monkeypatch.chdir(folder)
     with pytest.raises(ValueError, match="asked"):
         app(["invert", "two.nc", "--out", "new", *words], standalone_mode=False)
@@ -287,13 +287,15 @@ def test_the_options_of_invert_reach_the_fit(monkeypatch, tmp_path):
         monkeypatch, tmp_path, "--preset", "fine", "--field-of-view", "5", "--starts", "4", "--smooth", "asymmetry=0.1",
         "--smooth", "turbidity=0.3", "--free", "turbidity,asymmetry,ozone", "--response", "camera.csv",
     )  # fmt: skip
-    assert (given["solver"], given["draft"]) == (skyfit.OrdersOfScattering.fine(), skyfit.OrdersOfScattering.draft())
+    assert (given["solver"], given["draft"]) == (skyfit.OrdersOfScattering.fine(), None)
     assert given["measurement"] == skyfit.Measurement(field_of_view=np.radians(5.0)) and given["starts"] == 4
     # what is smooth in time is not the same at all times
     assert given["smooth"] == {"asymmetry": 0.1, "turbidity": 0.3} and given["shared"] == ("ozone",)
     np.testing.assert_allclose(given["response"].weight, [[50.0, 0.0, 0.0], [0.0, 200.0, 50.0]])
     scalar = asked(monkeypatch, tmp_path, "--scalar", "--free", "particles,ozone")
     assert scalar["solver"] == skyfit.OrdersOfScattering.normal() and scalar["free"] == (*PARTICLE_FREE, "ozone")
+    single = asked(monkeypatch, tmp_path, "--solver", "single")
+    assert (single["solver"], single["draft"]) == (skyfit.SingleScattering.normal(), skyfit.SingleScattering.draft())
     assert asked(monkeypatch, tmp_path, "--independent")["shared"] == ()
     assert asked(monkeypatch, tmp_path, "--shared", "asymmetry, ground_albedo")["shared"] == (
         "asymmetry",
@@ -339,6 +341,70 @@ def test_help_fits_a_narrow_window(skyfit_command, tmp_path):
     done = skyfit_command("--help", cwd=tmp_path)
     assert all(command in done.stdout for command in ("simulate", "refit", "invert", "predict"))
     assert narrow(done.stdout)
+
+
+HELPS = """
+import json, pathlib, sys
+from skyfit.cli import main
+loaded = {}
+for command in ("", "simulate", "invert", "refit", "predict"):
+    sys.argv[1:] = [*command.split(), "--help"]
+    try:
+        main()
+    except SystemExit as end:
+        assert end.code == 0
+    loaded[command] = sorted(sys.modules)
+pathlib.Path("loaded.json").write_text(json.dumps(loaded))
+"""
+
+
+def test_help_loads_no_more_than_it_says(environment, tmp_path):
+    done = python(HELPS, environment=environment, cwd=tmp_path)
+    assert done.returncode == 0 and done.stderr == "" and narrow(done.stdout)
+    for command, modules in json.loads((tmp_path / "loaded.json").read_text()).items():
+        roots = {name.split(".")[0] for name in modules}
+        assert not roots & {"equinox", "jax", "jaxlib", "jaxtyping", "matplotlib", "numpy", "rich", "scipy"}, command
+        own = {name for name in modules if name.split(".")[0] == "skyfit"}
+        assert all(name == "skyfit" or name.startswith("skyfit.cli") for name in own) and len(own) < 12, command
+    for words in ("OrdersOfScattering.normal", "polarised", "float64", *skyfit.transport.SOLVERS):
+        assert words in done.stdout, words
+
+
+def test_a_kept_program_gives_the_same_sky(tmp_path, monkeypatch):
+    solver = skyfit.SingleScattering.draft("flat")
+
+    def sky(turbidity=2.0, count=5, kept=solver):
+        scene = skyfit.Scene.from_degrees(40.0, skyfit.hemisphere(count), np.array([450.0, 550.0]))
+        atmosphere = skyfit.Atmosphere.from_turbidity(turbidity)
+        found = programs.kept_radiance(kept, atmosphere, scene, str(tmp_path / "new"))
+        np.testing.assert_allclose(found, kept.radiance(atmosphere, scene), rtol=1e-5)
+        return sorted((tmp_path / "new").iterdir())
+
+    (first,) = sky()
+    assert first.name.startswith("radiance-") and sky(3.0) == [first]
+    # another shape and another solver are other programs
+    assert len(sky(count=6)) == 2 and len(sky(kept=skyfit.SingleScattering.normal("flat"))) == 3
+    monkeypatch.setattr(programs.export, "export", None)
+    sky(4.0)
+    monkeypatch.undo()
+    whole = first.read_bytes()
+    first.write_bytes(whole[: len(whole) // 2])
+    sky()
+    assert len(first.read_bytes()) == len(whole)
+    # programs of other sources go, and a folder that cannot be written to does no harm
+    monkeypatch.setattr(programs, "_sources", lambda: [tmp_path])
+    (only,) = sky()
+    assert only.name != first.name
+    only.unlink()
+    monkeypatch.setattr(programs, "atomic", lambda _: (tmp_path / "none" / "none").open())
+    assert sky() == []
+
+
+def test_what_the_help_knows_is_what_the_floors_beneath_have():
+    assert known.SOLVER_NAMES == tuple(skyfit.transport.SOLVERS)
+    assert known.PARAMETER_NAMES == tuple(PARAMETERS) and known.DEFAULT_FREE == DEFAULT_FREE
+    assert known.THRESHOLD == skyfit.Measurement().threshold
+    assert known.SEA_LEVEL_PRESSURE == skyfit.atmosphere.SEA_LEVEL_PRESSURE
 
 
 def files_to_fail_on(made, folder):

@@ -13,7 +13,7 @@ from skies import fit_of_made_sky, MADE_FREE as FREE, MADE_SHARED as SHARED
 
 import skyfit.records.fit.write as fit_record
 from skyfit import Aerosol, Atmosphere
-from skyfit.atmosphere import CornetteShanks, HenyeyGreenstein, Layered, Rayleigh
+from skyfit.atmosphere import CornetteShanks, Droplets, HenyeyGreenstein, Layered, Levels, Rayleigh
 from skyfit.measured import Measurement, read, Response
 from skyfit.records import load, save, write_prediction
 from skyfit.retrieve import Fit, predict, SkyModel, start_model
@@ -51,7 +51,7 @@ def test_the_record_has_the_documented_keys(record, fit):
         "atmosphere", "measurement", "priors", "smooth", "free", "shared", "fixed", "calibration", "times",
         "total_rmse", "notes",
     }  # fmt: skip
-    assert (record["schema"], record["version"]) == ("skyfit.fit", 2)
+    assert (record["schema"], record["version"]) == ("skyfit.fit", 3)
     assert record["source"] == "made.nc"
     assert record["solver"] == {"name": "SingleScattering", "nodes": 8, "geometry": "flat"}
     assert record["geometry"] == "flat"
@@ -59,7 +59,9 @@ def test_the_record_has_the_documented_keys(record, fit):
     assert record["station"] == {
         "latitude_deg": None, "longitude_deg": None, "altitude_m": 300.0, "pressure_pa": None
     }  # fmt: skip
-    assert record["atmosphere"]["phase"] == "HenyeyGreenstein"
+    assert list(record["atmosphere"]["constituents"]) == ["rayleigh", "aerosol", "ozone"]
+    assert record["atmosphere"]["constituents"]["aerosol"]["phase"]["kind"] == "HenyeyGreenstein"
+    assert record["atmosphere"]["constituents"]["rayleigh"]["formula"] == "bodhaine"
     assert record["free"] == list(FREE)
     assert record["measurement"] == {
         "relative": None, "floor": None, "calibration": None, "calibration_prior": 0.01,
@@ -149,8 +151,8 @@ def other_start(fit, **haze) -> Fit:
     """The fit as if it had started from another atmosphere."""
     haze = {"phase": HenyeyGreenstein(0.7)} | haze
     air = haze.pop("air", Rayleigh(9e4))
-    ozone = haze.pop("ozone", fit.start.atmosphere.ozone)
-    return replace(fit, start=SkyModel(Atmosphere(air, Aerosol(0.3, **haze), ozone)))
+    ozone, more = haze.pop("ozone", fit.start.atmosphere.ozone), haze.pop("more", {})
+    return replace(fit, start=SkyModel(Atmosphere(air, Aerosol(0.3, **haze), ozone, **more)))
 
 
 @pytest.mark.parametrize(
@@ -160,6 +162,8 @@ def other_start(fit, **haze) -> Fit:
         {"air": Rayleigh(9e4, formula="paper")},
         {"ozone": None},
         {"single_scattering_albedo": 0.8},
+        {"profile": Layered([0.0, 1e3, 1e4], [0.8, 0.2])},
+        {"more": {"stratosphere": Aerosol(0.02, profile=Levels.elterman_1968()), "fog": Droplets.fog()}},
     ],
     ids=lambda change: next(iter(change)),
 )
@@ -191,10 +195,12 @@ def test_nothing_is_lost_where_the_haze_is_fixed(fit, tmp_path):
 
 
 def test_what_cannot_be_rebuilt_is_refused_with_the_reason(fit, tmp_path):
-    layers = Layered([0.0, 1e3, 1e4], [0.8, 0.2])
-    changed = other_start(fit, profile=layers)
-    save(changed, tmp_path / "fit.json")
-    with pytest.raises(ValueError, match=r"fit\.json: .*atmosphere\.aerosol_profile.*Exponential.*Layered"):
+    class Own(Layered):
+        """A profile of the user's."""
+
+    save(other_start(fit, profile=Own([0.0, 1e3], [1.0])), tmp_path / "fit.json")
+    place = r"atmosphere\.constituents\.aerosol\.profile\.kind"
+    with pytest.raises(ValueError, match=rf"fit\.json: .*{place}.*Exponential.*Own.*only the program that made it"):
         load(tmp_path / "fit.json")
 
 
@@ -211,11 +217,12 @@ def put(record, path, value):
     return record
 
 
+HAZE = ("atmosphere", "constituents", "aerosol")
 REFUSED = {
     "schema": (("schema",), "other", "schema"),
     "no schema": (("schema",), ..., "schema"),
-    "version": (("version",), 3, "version"),
-    "version of an older skyfit": (("version",), 1, "version`: expected 2, found 1, of an older skyfit: fit"),
+    "version": (("version",), 4, "version"),
+    "version of an older skyfit": (("version",), 2, "version`: expected 3, found 2, of an older skyfit: fit"),
     "no solver": (("solver",), ..., "solver"),
     "solver name": (("solver", "name"), "Magic", r"solver\.name"),
     "solver setting": (("solver", "nodes"), "8", r"solver\.nodes"),
@@ -225,17 +232,17 @@ REFUSED = {
     "geometry": (("geometry",), "spherical", "geometry"),
     "fwhm": (("instrument", "fwhm_nm"), "wide", r"instrument\.fwhm_nm"),
     "no station": (("station", "altitude_m"), ..., r"station\.altitude_m"),
-    "phase": (("atmosphere", "phase"), "Mie", r"atmosphere\.phase"),
-    "constant": (
-        ("atmosphere", "constants", "atmosphere.ozone.profile.height"),
-        None,
-        "ozone.profile.height",
-    ),
-    "constant more": (("atmosphere", "constants", "magic"), 1.0, "magic"),
+    "phase": ((*HAZE, "phase", "kind"), "Mie", r"atmosphere\.constituents\.aerosol\.phase\.kind"),
+    "no kind": ((*HAZE, "kind"), ..., r"atmosphere\.constituents\.aerosol\.kind"),
+    "number": ((*HAZE, "profile", "scale_height"), None, r"constituents\.aerosol\.profile\.scale_height"),
+    "number more": ((*HAZE, "magic"), 1.0, r"constituents\.aerosol\.magic"),
+    "constituents": (("atmosphere", "constituents"), ..., r"atmosphere\.constituents"),
+    "ground": (("atmosphere", "ground", "albedo"), "green", r"atmosphere\.ground\.albedo"),
     "free": (("free",), ["turbidity", "magic"], "free"),
     "free twice": (("free",), [*FREE, "aerosol_optical_depth"], "free"),
     "fixed without": (("fixed", "pressure"), ..., r"fixed\.pressure"),
     "fixed and free": (("fixed", "turbidity"), {"value": 3.0, "unit": "1"}, r"fixed\.turbidity"),
+    "fixed otherwise": (("fixed", "pressure", "value"), 5e4, r"fixed\.pressure\.value`: expected that of `atmosphere"),
     "fixed unit": (("fixed", "pressure", "unit"), "hPa", r"fixed\.pressure\.unit"),
     "no times": (("times",), [], "times"),
     "times": (("times",), {}, "times"),

@@ -97,12 +97,51 @@ def test_the_wheel_fits_a_sky(installed: Path, tmp_path: Path):
     assert turbidity == pytest.approx(3.0, abs=0.01)
 
 
+def loaded(program: str, folder: Path) -> set[str]:
+    """Modules that a program loads, counted from where it sets `was`."""
+    program = f"import sys\n{program}\nprint(*set(sys.modules) - was)"
+    return set(run(sys.executable, "-c", program, cwd=folder, PYTHONPATH=str(ROOT)).split())
+
+
 def test_the_import_is_light(tmp_path: Path):
+    assert not roots(loaded("was = set(sys.modules); import skyfit", tmp_path)) & {*HEAVY, "jax", "equinox", "numpy"}
     # what jax and equinox load of themselves is not skyfit's doing
-    count = "import sys, jax, equinox; was = set(sys.modules); import skyfit; print(*set(sys.modules) - was)"
-    modules = run(sys.executable, "-c", count, cwd=tmp_path, PYTHONPATH=str(ROOT)).split()
-    assert "skyfit.transport" in modules
-    assert not {name.split(".")[0] for name in modules} & set(HEAVY)
+    every = "import jax, equinox; was = set(sys.modules); import skyfit; [getattr(skyfit, n) for n in skyfit.__all__]"
+    modules = loaded(every, tmp_path)
+    assert {"skyfit.transport", "skyfit.retrieve", "skyfit.draw"} <= modules
+    assert not roots(modules) & set(HEAVY)
+
+
+def roots(modules: set[str]) -> set[str]:
+    return {name.split(".")[0] for name in modules}
+
+
+def test_every_name_is_that_of_its_home_whatever_else_is_loaded(tmp_path: Path):
+    homes = {}
+    for node in ast.parse((ROOT / "skyfit/__init__.pyi").read_text(encoding="utf-8")).body:
+        assert isinstance(node, ast.ImportFrom) and node.level == 1
+        homes |= {alias.name: node.module for alias in node.names}
+    folders = {path.parent.name for path in ROOT.glob("skyfit/*/__init__.py")}
+    assert {name for name, home in homes.items() if home is None} == folders - {"cli"} | {"tables"}
+    (tmp_path / "homes.json").write_text(json.dumps(homes))
+    program = """
+import importlib, json, pkgutil, sys
+import skyfit
+was = set(sys.modules)
+homes = json.load(open("homes.json"))
+for module in pkgutil.walk_packages(skyfit.__path__, "skyfit."):
+    importlib.import_module(module.name)
+assert sorted(dir(skyfit)) == sorted(skyfit.__all__) == sorted(homes)
+for name, home in homes.items():
+    exec(f"from skyfit import {name} as found")
+    wanted = sys.modules[f"skyfit.{name}"] if home is None else getattr(sys.modules[f"skyfit.{home}"], name)
+    assert found is wanted and getattr(skyfit, name) is wanted, name
+try:
+    skyfit.none_such
+except AttributeError as error:
+    assert "none_such" in str(error)
+"""
+    loaded(program, tmp_path)
 
 
 def floor(path: Path) -> str:

@@ -7,7 +7,18 @@ from hypothesis import given, strategies as st
 from made_skies import as_sky, FREE, SOLVER
 
 import skyfit
-from skyfit.retrieve import check_free, PARAMETERS, start_model, values_of, with_values
+from skyfit.atmosphere import Exponential, HenyeyGreenstein, Prescribed
+from skyfit.retrieve import (
+    check_free,
+    DEFAULT_FREE,
+    PARAMETERS,
+    PARTICLE_FREE,
+    SkyModel,
+    SLOW,
+    start_model,
+    values_of,
+    with_values,
+)
 from skyfit.retrieve.parameters import partition
 
 
@@ -90,13 +101,30 @@ def test_names_that_cannot_be_free(free, parts):
 @pytest.mark.parametrize("place", ["aerosol", "ozone", "rayleigh"])
 def test_an_atmosphere_without_a_constituent_has_none_of_its_parameters(place):
     model = start_model((), 101325.0)
-    atmosphere = replace_leaf(model.atmosphere, place, None)
+    atmosphere = model.atmosphere.replace(**{place: None})
     name = {"aerosol": "aerosol_optical_depth", "ozone": "ozone", "rayleigh": "pressure"}[place]
     with pytest.raises(ValueError, match=f"{name}.*does not have"):
         check_free((name,), type(model)(atmosphere))
     assert name not in values_of(type(model)(atmosphere), PARAMETERS)
 
 
-def replace_leaf(atmosphere, name, value):
-    parts = {n: getattr(atmosphere, n) for n in ("rayleigh", "aerosol", "ozone", "ground")}
-    return skyfit.Atmosphere(**(parts | {name: value}))
+def test_what_is_given_per_wavelength_is_no_parameter():
+    haze = Prescribed(np.array([0.2, 0.1]), Exponential(1e3), HenyeyGreenstein(0.6), 0.9)
+    model = SkyModel(skyfit.Atmosphere(aerosol=haze))
+    found = values_of(model, PARAMETERS)
+    assert "aerosol_optical_depth" not in found and found["single_scattering_albedo"] == pytest.approx(0.9)
+    with pytest.raises(ValueError, match="aerosol_optical_depth.*does not have"):
+        check_free(("aerosol_optical_depth",), model)
+
+
+def test_what_holds_of_a_parameter_is_told_by_it():
+    assert {"ozone", "pressure", "asymmetry"} <= set(SLOW)
+    assert not {"turbidity", "aerosol_optical_depth", "ground_albedo", "pointing_zenith", "pointing_azimuth"} & set(
+        SLOW
+    )
+    lobes, spheres = start_model(DEFAULT_FREE, 101325.0), start_model(PARTICLE_FREE, 101325.0)
+    for names, has, lacks in ((DEFAULT_FREE, lobes, spheres), (PARTICLE_FREE, spheres, lobes)):
+        check_free(names, has)
+        kind = [n for n in names if PARAMETERS[n].group]
+        assert kind and not values_of(lacks, kind)
+    assert [p.name for p in PARAMETERS.values() if p.of_instrument] == ["pointing_zenith", "pointing_azimuth"]

@@ -8,16 +8,14 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
-from ..atmosphere import angstrom_coefficient
+from ..atmosphere import angstrom_coefficient, DOBSON_PER_METRE, Ozone, preetham_absorption
 from ..light import SUN_SOLID_ANGLE
 from ..numerics import as_float
 from ..scene import LOWEST_VISIBLE, relative_airmass, Scene
-from ..tables import read_table
 
 
 # nm, the range of the absorption coefficients; inside 380-780 they are the paper's
 _SHORTEST, _LONGEST = 300.0, 1100.0
-_M_PER_CM = 0.01
 # m; more of them is another unit: 1000 Dobson units, and three times the tropics' water
 _MOST_OZONE, _MOST_WATER = 0.01, 0.2
 # beta is 0 at 0.9952
@@ -92,10 +90,11 @@ class Sunlight(eqx.Module):
                     f"`wavelength_nm` must be within {_SHORTEST:g}-{_LONGEST:g} nm, got {concrete[bad][0]:g}"
                 )
         airmass = relative_airmass(as_float(theta_sun))
-        table = _absorption()
-        per_ozone, per_water, mixed = (
-            jnp.interp(wavelength_nm, as_float(table[0]), as_float(column)) for column in table[1:]
+        per_water, mixed = (
+            jnp.interp(wavelength_nm, *map(as_float, preetham_absorption(name)))
+            for name in ("water_absorption", "mixed_gas_absorption")
         )
+        ozone = Ozone(column=DOBSON_PER_METRE * self.ozone, table="preetham").extinction(wavelength_nm)
         log_micrometre = jnp.log(wavelength_nm * 1e-3)
         # Iqbal 1983, after Leckner 1978
         rayleigh = 0.008735 * jnp.exp(-4.08 * log_micrometre)
@@ -104,7 +103,7 @@ class Sunlight(eqx.Module):
         return Transmittances(
             jnp.exp(-rayleigh * airmass),
             jnp.exp(-haze * airmass),
-            jnp.exp(-per_ozone * (self.ozone * airmass)),
+            jnp.exp(-ozone * airmass),
             jnp.exp(-1.41 * _band(gas, 118.93)),
             jnp.exp(-0.2385 * _band(water, 20.07)),
         )
@@ -139,19 +138,3 @@ def _band(amount, saturation):
     # a negative amount is no power of a negative base
     amount = jnp.where(amount < 0.0, 0.0, amount)
     return amount * jnp.exp(-0.45 * jnp.log1p(saturation * amount))
-
-
-def _absorption() -> tuple[np.ndarray, ...]:
-    """Wavelength (nm) and the coefficients of ozone (m^-1), water vapour (m^-1) and mixed gases."""
-    paper, beyond = read_table("preetham_table2_spectra.csv"), read_table("spectrl2_absorption.csv")
-    inside = paper["wavelength_nm"]
-    outside = (beyond["wavelength_nm"] < inside[0]) | (beyond["wavelength_nm"] > inside[-1])
-    order = np.argsort(np.concatenate([inside, beyond["wavelength_nm"][outside]]))
-    columns = [np.concatenate([inside, beyond["wavelength_nm"][outside]])]
-    for name, per_metre in (
-        ("ozone_absorption", 1.0 / _M_PER_CM),
-        ("water_absorption", 1.0 / _M_PER_CM),
-        ("mixed_gas_absorption", 1.0),
-    ):
-        columns.append(np.concatenate([np.nan_to_num(paper[name]), per_metre * beyond[name][outside]]))
-    return tuple(column[order] for column in columns)

@@ -1,10 +1,24 @@
 from .aerosol import Aerosol as Aerosol
 from .atmosphere import Atmosphere as Atmosphere, Ground as Ground
 from .constituent import AbstractConstituent as AbstractConstituent, Prescribed as Prescribed
+from .description import (
+    CONSTITUENTS as CONSTITUENTS,
+    describe as describe,
+    from_description as from_description,
+    PHASES as PHASES,
+    PROFILES as PROFILES,
+)
 from .droplets import droplet_phase as droplet_phase, Droplets as Droplets
+from .gas import (
+    AbstractGas as AbstractGas,
+    DOBSON_PER_METRE as DOBSON_PER_METRE,
+    Gas as Gas,
+    MOLECULES_PER_DOBSON as MOLECULES_PER_DOBSON,
+    Ozone as Ozone,
+    preetham_absorption as preetham_absorption,
+)
 from .hoffman import hoffman_haze as hoffman_haze, HOFFMAN_WAVELENGTHS as HOFFMAN_WAVELENGTHS
 from .mie import TwoModeAerosol as TwoModeAerosol, TwoModePhase as TwoModePhase
-from .ozone import Ozone as Ozone
 from .phase import (
     AbstractPhase as AbstractPhase,
     CornetteShanks as CornetteShanks,

@@ -1,4 +1,7 @@
-"""The atmosphere: its constituents and the ground under it; every parameter of a sky is a leaf of it."""
+"""The atmosphere: named constituents and the ground; every parameter of a sky is a leaf of it."""
+
+from dataclasses import fields
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -8,7 +11,7 @@ from jaxtyping import Array, Float
 from ..numerics import as_float
 from .aerosol import Aerosol
 from .constituent import AbstractConstituent
-from .ozone import Ozone
+from .gas import Ozone
 from .phase import REFERENCE_WAVELENGTH
 from .rayleigh import Rayleigh
 from .turbidity import Relation, turbidity_to_optical_depth
@@ -39,15 +42,48 @@ class Ground(eqx.Module):
 
 
 class Atmosphere(eqx.Module):
-    """Air, haze, ozone and the ground; a constituent that is None costs nothing.
+    """Named constituents in an order, and the ground under them; what is not there costs nothing.
 
-    Each of `rayleigh`, `aerosol`, `ozone` may be any `AbstractConstituent`, a `Prescribed` one for instance.
+    `Atmosphere(aerosol=Aerosol(0.1), dust=Aerosol(0.02, profile=Levels.elterman_1968()), no2=Gas(...))`: after the
+    three familiar ones any number by names of one's own. `rayleigh`, the air, and `ozone` are there if nothing is said;
+    None leaves one out. Each may be any `AbstractConstituent`, a `Prescribed` one for instance; where a solver treats
+    air apart (`Shells`), air is what stands under the name rayleigh.
+
+    `atmosphere.dust` or `atmosphere["dust"]` is a constituent, `"dust" in atmosphere` whether there is one; `replace`
+    makes another atmosphere. `names` and `constituents` are in one order: rayleigh, aerosol, ozone, then the others as
+    they were given.
     """
 
-    rayleigh: AbstractConstituent | None = eqx.field(default_factory=Rayleigh)
-    aerosol: AbstractConstituent | None = None
-    ozone: AbstractConstituent | None = eqx.field(default_factory=Ozone)
-    ground: Ground = eqx.field(default_factory=Ground)
+    names: tuple[str, ...] = eqx.field(static=True)
+    constituents: tuple[AbstractConstituent, ...]
+    ground: Ground
+
+    def __init__(
+        self,
+        /,
+        rayleigh: AbstractConstituent | type[Rayleigh] | None = Rayleigh,
+        aerosol: AbstractConstituent | None = None,
+        ozone: AbstractConstituent | type[Ozone] | None = Ozone,
+        ground: Ground | type[Ground] = Ground,
+        **more: AbstractConstituent | None,
+    ):
+        # what is usual is made here, in the float type of the process by now
+        made = {
+            "rayleigh": Rayleigh() if rayleigh is Rayleigh else rayleigh,
+            "aerosol": aerosol,
+            "ozone": Ozone() if ozone is Ozone else ozone,
+        } | more
+        present = {name: c for name, c in made.items() if isinstance(c, AbstractConstituent)}
+        taken = {*dir(type(self)), *(field.name for field in fields(self))}
+        for name, c in made.items():
+            if not name.isidentifier() or name.startswith("_") or name in taken:
+                raise ValueError(f"`{name}` must be another name: a word that means nothing else of an atmosphere")
+            if c is not None and name not in present:
+                raise ValueError(f"`{name}` must be a constituent or None, got {c!r}")
+        if not (ground is Ground or isinstance(ground, Ground)):
+            raise ValueError(f"`ground` must be a `Ground`, got {ground!r}")
+        self.names, self.constituents = tuple(present), tuple(present.values())
+        self.ground = Ground() if isinstance(ground, type) else ground
 
     @classmethod
     def from_optical_depth(cls, optical_depth, **aerosol) -> "Atmosphere":
@@ -66,10 +102,29 @@ class Atmosphere(eqx.Module):
         """
         return cls.from_optical_depth(turbidity_to_optical_depth(turbidity, relation), **aerosol)
 
-    @property
-    def constituents(self) -> tuple[AbstractConstituent, ...]:
-        """The constituents that are present."""
-        return tuple(c for c in (self.rayleigh, self.aerosol, self.ozone) if c is not None)
+    def replace(self, /, *, ground: Ground | None = None, **constituents: AbstractConstituent | None) -> "Atmosphere":
+        """This atmosphere with constituents replaced, added or, where None, left out, and with another ground."""
+        parts = {"rayleigh": None, "ozone": None} | dict(zip(self.names, self.constituents, strict=True)) | constituents
+        return Atmosphere(ground=self.ground if ground is None else ground, **parts)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.names
+
+    def __getitem__(self, name: str) -> AbstractConstituent:
+        if name not in self.names:
+            raise KeyError(self._absent(name))
+        return self.constituents[self.names.index(name)]
+
+    def __getattr__(self, name: str) -> Any:
+        # a field that is not set yet, or what Python and JAX ask for of themselves
+        if name.startswith("_") or name in ("names", "constituents", "ground"):
+            raise AttributeError(name)
+        if name not in self.names:
+            raise AttributeError(self._absent(name))
+        return self.constituents[self.names.index(name)]
+
+    def _absent(self, name: str) -> str:
+        return f"this atmosphere has no `{name}`, only {', '.join(self.names) or 'its ground'}"
 
     @property
     def smooth_in_wavelength(self) -> bool:

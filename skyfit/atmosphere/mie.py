@@ -26,7 +26,7 @@ from .profile import AbstractProfile, Exponential, HAZE_SCALE_HEIGHT
 _LEAST_WIDTH = 0.25
 # micrometres, far beyond what the classes hold
 _RADII = (1e-3, 1e3)
-# of integrals over each interval between tabulated angles
+# nodes of an integral over each interval between tabulated angles
 _NODES_BETWEEN = 12
 
 

@@ -21,14 +21,14 @@ from ..tables import read_table
 REFERENCE_WAVELENGTH = 550.0
 # degree of polarisation of haze at 90 degrees from the sun, where its phase function says nothing of it
 HAZE_POLARISATION = 0.25
-# of integrals over the scattering angle, uniform in it
+# nodes of an integral over the scattering angle, uniform in it
 _ANGLES = 256
 
 
 class AbstractPhase(eqx.Module):
     """A phase function; the last axis of length 1 where it does not depend on wavelength."""
 
-    # of the last moment that is not zero, None where they go on
+    # the degree of the last moment that is not zero, None where they go on
     last_degree: eqx.AbstractClassVar[int | None]
 
     @abstractmethod
@@ -64,8 +64,8 @@ class AbstractPhase(eqx.Module):
         """
         nodes, weights = gauss_legendre(_ANGLES)
         angle = np.pi * nodes
-        half, cosine, sine = (as_float(v) for v in (np.sin(0.5 * angle) ** 2, np.cos(angle), np.sin(angle)))
-        r, t = spin_legendre(cosine, sine, 3, max(count, 1))
+        half = as_float(np.sin(0.5 * angle) ** 2)
+        r, t = (as_float(v) for v in spin_legendre(angle, 3, max(count, 1)))
         weighted = self.value(half, wavelength_nm) * as_float(2.0 * np.pi**2 * weights * np.sin(angle))[:, None]
         f12, f22, f33 = self.matrix(half, wavelength_nm) * weighted[None]
         alpha, zeta = (r[:, 2] @ a - t[:, 2] @ b for a, b in ((f22, f33), (f33, f22)))
@@ -118,7 +118,7 @@ def _henyey_greenstein(haversine, asymmetry):
 
 
 def _powers(asymmetry, count: int):
-    return jnp.cumprod(jnp.concatenate([jnp.ones(1), jnp.full(count - 1, asymmetry)]))
+    return asymmetry ** np.arange(count)
 
 
 class HenyeyGreenstein(AbstractPhase):
@@ -243,9 +243,8 @@ class Tabulated(AbstractPhase):
         angle = np.pi * nodes
         values = self._unnormalised(as_float(np.sin(0.5 * angle) ** 2), wavelength_nm)
         solid_angle = as_float(2.0 * np.pi * np.pi * weights * np.sin(angle))
-        cosine = as_float(np.cos(angle))
-        legendre = associated_legendre(cosine, 0.0 * cosine, 1, max(count, 1))[:, 0]
-        return (legendre * solid_angle[None]) @ values
+        legendre = associated_legendre(angle, 1, max(count, 1))[:, 0]
+        return (as_float(legendre) * solid_angle[None]) @ values
 
     def value(self, haversine, wavelength_nm):
         return self._unnormalised(haversine, wavelength_nm) / self._quadrature(1, wavelength_nm)

@@ -5,8 +5,8 @@ import numpy as np
 from ..atmosphere import TwoModeAerosol
 from ..measured import time_names
 from ..retrieve import Fit, haze_optics, PARAMETERS
-from ..transport import OrdersOfScattering
-from .options import console, table
+from .models import in_words
+from .printing import console, table
 
 
 # columns of the window, and of what stands between two of a table
@@ -131,7 +131,7 @@ def _about(fit: Fit):
     known = "stated" if fit.measurement.stated(fit.sky) else "assumed"
     error = 100.0 * fit.model_error
     noise = f"noise, {_span(fit.scale, '.2g')} times the {known} one"
-    yield f"model: {_solver(fit)}"
+    yield f"model: {in_words(fit.solver)}"
     yield f"sigma: {noise}, and a model error of {error:.2g} % (by model)"
     yield from _haze(fit)
     yield from _calibration(fit)
@@ -151,7 +151,8 @@ def _about(fit: Fit):
 
 def _haze(fit: Fit):
     """What follows of the optics of spheres, that parameters do not say."""
-    if not isinstance(fit.start.atmosphere.aerosol, TwoModeAerosol):
+    atmosphere = fit.start.atmosphere
+    if not ("aerosol" in atmosphere and isinstance(atmosphere.aerosol, TwoModeAerosol)):
         return
     optics = haze_optics(fit)
 
@@ -164,14 +165,6 @@ def _haze(fit: Fit):
     yield f"haze: single-scattering albedo {told('single_scattering_albedo_870')} (870 nm)"
     for mode in ("fine_", "coarse_", ""):
         yield f"haze: effective radius{mode and ', '}{mode.strip('_')} {told(f'{mode}effective_radius')}"
-
-
-def _solver(fit: Fit) -> str:
-    name = type(fit.solver).__name__
-    if not isinstance(fit.solver, OrdersOfScattering):
-        return f"{name}, {fit.solver.geometry}, scalar (polarisation left out)"
-    kind = "polarised" if fit.solver.polarised else "scalar (polarisation left out)"
-    return f"{name}, {fit.solver.geometry}, {fit.solver.streams} streams, {kind}"
 
 
 def _span(values: np.ndarray, form: str) -> str:

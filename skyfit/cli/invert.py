@@ -3,30 +3,21 @@
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
-from ..draw import plot
-from ..measured import Measurement, read, Sky
-from ..records import load, save, write_prediction
-from ..retrieve import DEFAULT_FREE, invert, PARAMETERS, predict
-from .asked import names_in, priors_of, response_of, shared_of, smooth_of, start_of
-from .fit_report import print_fit
+from .known import DEFAULT_FREE, PARAMETER_NAMES, THRESHOLD
 from .options import (
     app,
     check_folder,
-    console,
     GeometryName,
     GeometryOption,
     in_range,
     LineShape,
     LossName,
-    make_solver,
     OutFolder,
     PolarisedOption,
     PresetName,
     PresetOption,
-    progress,
     SolverOption,
 )
 
@@ -36,10 +27,9 @@ Longitude = Annotated[float | None, typer.Option(help="degrees east, if the file
 UtcOffset = Annotated[float | None, typer.Option(help="hours of local time ahead of UTC (EDT: -4)")]
 Altitude = Annotated[float | None, typer.Option(help="of the station, metres")]
 FreeOption = Annotated[
-    str, typer.Option(help=f"with commas: particles (sizes and index of spheres) or of {', '.join(PARAMETERS)}")
+    str, typer.Option(help=f"with commas: particles (sizes and index of spheres) or of {', '.join(PARAMETER_NAMES)}")
 ]
 DEFAULT_FREE_TEXT = ",".join(DEFAULT_FREE)
-_USUAL, _USUAL_SOLVER = Measurement(), ("orders", PresetName.normal)
 # degrees; `Measurement` ends at half a radian
 _WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 
@@ -60,7 +50,7 @@ def invert_command(
     model_error: Annotated[float | None, typer.Option(help="relative, of the model (0.003; scalar 0.007)")] = None,
     field_of_view: Annotated[float, typer.Option(help="full cone of the instrument, degrees")] = 0.0,
     loss: Annotated[LossName, typer.Option(help="of residuals beyond the threshold")] = LossName.huber,
-    threshold: Annotated[float, typer.Option(help="of the loss, in sigma")] = _USUAL.threshold,
+    threshold: Annotated[float, typer.Option(help="of the loss, in sigma")] = THRESHOLD,
     starts: Annotated[int, typer.Option(help="of the search, random ones but for the first")] = 1,
     response: Annotated[str | None, typer.Option(help="samples are channels: xyz, srgb or a CSV of them")] = None,
     latitude: Latitude = None,
@@ -68,15 +58,31 @@ def invert_command(
     utc_offset: UtcOffset = None,
     altitude: Altitude = None,
     fwhm: LineShape = None,
-    solver: SolverOption = _USUAL_SOLVER[0],
-    preset: PresetOption = _USUAL_SOLVER[1],
+    solver: SolverOption = "orders",
+    preset: PresetOption = PresetName.normal,
     geometry: GeometryOption = GeometryName.spherical,
     polarised: PolarisedOption = None,
 ):
-    """Recover turbidity or aerosol optical depth, and more, from a measured sky."""
+    """Recover turbidity or aerosol optical depth, and more, from a measured sky.
+
+    As skyfit.invert does in Python: by OrdersOfScattering.normal, spherical, polarised for spectra and scalar for
+    channels, where no option says otherwise. The command computes in float64; Python in the precision of its process,
+    float32 where nobody asks for more.
+    """
+    from math import radians
+
+    from ..draw import plot
+    from ..measured import Measurement
+    from ..records import save
+    from ..retrieve import invert
+    from .asked import names_in, priors_of, response_of, shared_of, smooth_of, start_of
+    from .fit_report import print_fit
+    from .models import make_solver
+    from .printing import console, progress
+
     names, smoothed = names_in(free), smooth_of(smooth or [])
-    view = np.radians(in_range("--field-of-view", field_of_view, 0.0, _WIDEST_VIEW))
-    measurement = Measurement(relative, floor, calibration, model_error, float(view), loss.value, threshold)
+    view = radians(in_range("--field-of-view", field_of_view, 0.0, _WIDEST_VIEW))
+    measurement = Measurement(relative, floor, calibration, model_error, view, loss.value, threshold)
     in_range("--starts", float(starts), 1.0, _MOST_STARTS)
     priors, channels = priors_of(prior or []), response_of(response)
     measured = _read(sky, latitude, longitude, utc_offset, altitude, fwhm)
@@ -85,7 +91,8 @@ def invert_command(
     spectral = channels is None and measured.response is None
     vector = spectral and solver == "orders" if polarised is None else polarised
     last = make_solver(solver, preset, geometry, vector)
-    first = None if (solver, preset) == _USUAL_SOLVER else make_solver(solver, PresetName.draft, geometry, vector)
+    # all orders know a coarser solver themselves
+    first = None if solver == "orders" else make_solver(solver, PresetName.draft, geometry, vector)
     check_folder(out)
     with progress("compiling and fitting") as report:
         fit = invert(
@@ -112,6 +119,10 @@ def predict_command(
     altitude: Altitude = None,
 ):
     """Predict the radiance of fitted skies in other directions or at other wavelengths."""
+    from ..records import load, write_prediction
+    from ..retrieve import predict
+    from .printing import console, progress
+
     fitted = load(fit)
     sky = _read(at, latitude, longitude, utc_offset, altitude, None)
     with progress("predicting"):
@@ -120,5 +131,7 @@ def predict_command(
     console.print(f"{out}: {' x '.join(map(str, radiance.shape))} (time, direction, wavelength)", highlight=False)
 
 
-def _read(path: Path, latitude, longitude, utc_offset, altitude, fwhm) -> Sky:
+def _read(path: Path, latitude, longitude, utc_offset, altitude, fwhm):
+    from ..measured import read
+
     return read(path, latitude=latitude, longitude=longitude, utc_offset=utc_offset, altitude=altitude, fwhm_nm=fwhm)

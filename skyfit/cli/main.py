@@ -4,10 +4,8 @@ import os
 import sys
 from pathlib import Path
 
-import jax
-
 from . import invert, refit, simulate
-from .options import app, notices
+from .options import app
 
 
 # importing a command registers it
@@ -16,13 +14,20 @@ _COMMANDS = (simulate, refit, invert)
 
 def main() -> None:
     """The entry point: double precision, a persistent compilation cache, one-line errors with exit code 2."""
-    jax.config.update("jax_enable_x64", True)
+    # all but what ends the program: XLA finds it worth a report to its makers that a compilation takes long
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "skyfit"
-    jax.config.update("jax_compilation_cache_dir", str(cache))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    # for JAX, which a command loads when it runs
+    os.environ.update(
+        JAX_ENABLE_X64="1",
+        JAX_COMPILATION_CACHE_DIR=str(cache),
+        JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0.2",
+    )
     try:
         app()
     except (ValueError, OSError) as error:
+        from .printing import notices
+
         notices.print(f"skyfit: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
         sys.exit(2)
     except KeyboardInterrupt:

@@ -1,28 +1,19 @@
-"""What the commands share: the application, options, checks and the way they print."""
+"""What the commands share: the application, options and checks. Help texts load neither jax nor a solver."""
 
 import os
-from collections.abc import Callable
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
-from ..atmosphere import AbstractPhase, Aerosol, Atmosphere, Exponential, Ground, Ozone, Rayleigh
-from ..transport import AbstractSolver, SOLVERS
+from .known import SOLVER_NAMES
 
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None,
     help="A differentiable daylight sky: simulate it, fit it, refit Preetham's model.",
 )  # fmt: skip
-console = Console()
-notices = Console(stderr=True)
 
 
 class PresetName(StrEnum):
@@ -51,7 +42,7 @@ class LossName(StrEnum):
 SolverOption = Annotated[
     str,
     typer.Option(
-        metavar=f"[{'|'.join(SOLVERS)}]",
+        metavar=f"[{'|'.join(SOLVER_NAMES)}]",
         help="all orders of scattering, two, one, Klassen's shells, Hoffman's uniform air",
     ),
 ]
@@ -68,51 +59,6 @@ PolarisedOption = Annotated[
     bool | None, typer.Option("--polarised/--scalar", help="(default: polarised for spectra by the solver orders)")
 ]
 LineShape = Annotated[float | None, typer.Option(help="Gaussian line shape of the instrument, nm")]
-
-
-def make_solver(name: str, preset: PresetName, geometry: GeometryName, polarised: bool = False) -> AbstractSolver:
-    """The solver of some words; only `orders` may be polarised."""
-    if name not in SOLVERS:
-        raise ValueError(f"`--solver` must be one of {', '.join(SOLVERS)}, got {name!r}")
-    if polarised and name != "orders":
-        raise ValueError(f"`--polarised` must be left out with `--solver {name}`: only orders knows polarisation")
-    settings = {"polarised": True} if polarised else {}
-    return getattr(SOLVERS[name], preset.value)(geometry.value, **settings)
-
-
-def make_atmosphere(
-    phase: AbstractPhase,
-    angstrom_exponent: float,
-    single_scattering_albedo: float,
-    haze_height: float,
-    ground_albedo: float,
-    ozone: float,
-    pressure: float,
-) -> Callable:
-    """An `Atmosphere` by the haze's optical depth at 550 nm, which may be traced; checks what the user gave."""
-    haze = {
-        "angstrom_exponent": in_range("--angstrom-exponent", angstrom_exponent, -1.0, 4.0),
-        "single_scattering_albedo": in_range("--single-scattering-albedo", single_scattering_albedo, 0.0, 1.0),
-        "profile": Exponential(in_range("--haze-height", haze_height, 50.0, 20000.0)),
-        "phase": phase,
-    }
-    gas = Ozone(column=in_range("--ozone", ozone, 0.0, 1000.0))
-    ground = Ground(albedo=in_range("--ground-albedo", ground_albedo, 0.0, 1.0))
-    air = Rayleigh(pressure=in_range("--pressure", pressure, 0.0, 2e6))
-    return lambda depth: Atmosphere(rayleigh=air, aerosol=Aerosol(depth, **haze), ozone=gas, ground=ground)
-
-
-@contextmanager
-def progress(title: str):
-    """A bar on standard error; yields `progress(done, of)`."""
-    columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=notices, transient=True) as bar:
-        task = bar.add_task(title, total=None)
-        yield lambda done, of: bar.update(task, completed=done, total=of)
-
-
-def table(title: str) -> Table:
-    return Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
 
 
 def in_range(name: str, value: float, low: float, high: float) -> float:

@@ -5,11 +5,22 @@ from .factor import (
     triangle as triangle,
     tridiagonal_inverse as tridiagonal_inverse,
 )
-from .guarded import exp_mean as exp_mean, phi1 as phi1, phi_functions as phi_functions, safe_sqrt as safe_sqrt
+from .guarded import (
+    exp_mean as exp_mean,
+    phi1 as phi1,
+    phi_functions as phi_functions,
+    polynomial as polynomial,
+    safe_sqrt as safe_sqrt,
+)
 from .interpolation import (
     chebyshev_nodes as chebyshev_nodes,
     chebyshev_weights as chebyshev_weights,
     hat_weights as hat_weights,
 )
-from .legendre import associated_legendre as associated_legendre, spin_legendre as spin_legendre
+from .legendre import (
+    associated_legendre as associated_legendre,
+    legendre_series as legendre_series,
+    of_angle as of_angle,
+    spin_legendre as spin_legendre,
+)
 from .quadrature import gauss_legendre as gauss_legendre

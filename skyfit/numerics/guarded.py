@@ -1,12 +1,32 @@
 """Functions whose textbook form cancels or divides by zero; inputs are guarded, so gradients stay finite."""
 
+import functools
 import math
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
 _SERIES_LIMIT = 0.5
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def polynomial(coefficients: tuple[float, ...], x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """A polynomial by Horner's rule, the constant's coefficient first; its derivative is one more of them.
+
+    Differentiated link by link, each link of the rule has two uses, and the compiler makes a kernel of each.
+    """
+    value = jnp.full_like(x, coefficients[-1])
+    for c in coefficients[-2::-1]:
+        value = value * x + c
+    return value
+
+
+@polynomial.defjvp
+def _polynomial_tangent(coefficients, primals, tangents):
+    slope = tuple(k * c for k, c in enumerate(coefficients))[1:] or (0.0,)
+    return polynomial(coefficients, *primals), polynomial(slope, *primals) * tangents[0]
 
 
 def phi_functions(x: Float[Array, "..."], count: int = 2) -> tuple[Float[Array, "..."], ...]:
@@ -21,11 +41,9 @@ def phi_functions(x: Float[Array, "..."], count: int = 2) -> tuple[Float[Array, 
     """
     small = jnp.abs(x) < _SERIES_LIMIT
     near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
-    series = jnp.ones_like(x)
-    for k in range(7 if x.dtype == jnp.float32 else 13, 0, -1):
-        series = 1.0 - near / (k + count) * series
     # the series is that of the last one; those before it follow without cancellation
-    values = [series / math.factorial(count)]
+    terms = 8 if x.dtype == jnp.float32 else 14
+    values = [polynomial(tuple((-1.0) ** k / math.factorial(k + count) for k in range(terms)), near)]
     for k in range(count - 1, 0, -1):
         values.insert(0, 1.0 / math.factorial(k) - near * values[0])
     beyond = [-jnp.expm1(-far) / far]

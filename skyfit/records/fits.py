@@ -12,6 +12,7 @@ import os
 import shutil
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -90,6 +91,10 @@ def fit_many(
         if not (isinstance(value, int) and value >= 1):
             raise ValueError(f"`{name}` must be a whole number of 1 or more, got {value!r}")
     asked = prepared(sky, free, solver, start, fwhm_nm, max_steps, (), measurement, response, priors, None, draft)
+    # one more solver to compile pays over many skies
+    coarser = asked.solver.coarser()
+    if draft is None and coarser != asked.solver:
+        asked = replace(asked, slopes=coarser)
     settings = _settings(asked, max_steps, guess, starts)
     times = len(sky.time)
     target = None if path is None else Path(path)

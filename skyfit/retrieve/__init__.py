@@ -8,16 +8,14 @@ from .design import (
     sensitivity as sensitivity,
 )
 from .forward import simulate as simulate
-from .invert import (
-    DEFAULT_FREE as DEFAULT_FREE,
-    invert as invert,
-    PARTICLE_FREE as PARTICLE_FREE,
-    SLOW as SLOW,
-)
+from .invert import invert as invert
 from .model import SkyModel as SkyModel
 from .parameters import (
     check_free as check_free,
+    DEFAULT_FREE as DEFAULT_FREE,
     PARAMETERS as PARAMETERS,
+    PARTICLE_FREE as PARTICLE_FREE,
+    SLOW as SLOW,
     start_model as start_model,
     values_of as values_of,
     with_values as with_values,

@@ -37,8 +37,8 @@ def haze_optics(fit: Fit) -> dict[str, Derived]:
     $\sqrt{G C G^T}$ with the parameters' covariance C and the gradient G: what is held fixed has no error here.
     **Valid:** the wavelengths of a fit; beyond them the numbers follow from the model's laws.
     """
-    aerosol = fit.start.atmosphere.aerosol
-    if aerosol is None or aerosol.phase is None or not aerosol.smooth_in_wavelength:
+    atmosphere = fit.start.atmosphere
+    if "aerosol" not in atmosphere or atmosphere.aerosol.phase is None or not atmosphere.aerosol.smooth_in_wavelength:
         return {}
     # in the dtype of this process, whatever that of the fit was
     start = jax.tree.map(lambda leaf: as_float(np.asarray(leaf)), fit.start)
@@ -65,7 +65,6 @@ def _unit(name: str) -> str:
 
 def _numbers(model: SkyModel) -> dict:
     aerosol = model.atmosphere.aerosol
-    assert aerosol is not None and aerosol.phase is not None
     wavelength = as_float(_WAVELENGTHS)
     depth, albedo = aerosol.extinction(wavelength), aerosol.albedo(wavelength)
     asymmetry = jnp.broadcast_to(aerosol.phase.moments(2, wavelength)[1], wavelength.shape)

@@ -9,32 +9,12 @@ from ..measured import Measurement, Response, Sky
 from ..numerics.chain import Point
 from ..transport import AbstractSolver
 from .model import SkyModel
+from .parameters import DEFAULT_FREE
 from .prepared import check, first_points, Prepared, prepared
 from .report import fit_of
 from .result import Fit
 from .retrieve import retrieve
 from .uncertainty import Estimate
-
-
-# what a sky scan determines, and the pointing that it needs
-DEFAULT_FREE = (
-    "aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo", "asymmetry",
-    "asymmetry_second", "forward_fraction", "forward_fraction_slope", "ground_albedo", "pointing_zenith",
-    "pointing_azimuth",
-)  # fmt: skip
-# the same with particles: haze of spheres in two modes of size
-PARTICLE_FREE = (
-    "aerosol_optical_depth", "fine_fraction", "fine_radius", "coarse_radius", "refractive_index", "absorption_index",
-    "ground_albedo", "ground_red_edge", "pointing_zenith", "pointing_azimuth",
-)  # fmt: skip
-# what stays the same over a day: the kind of particle and the air; the amount of haze, the pointing and, under a moving
-# sun, what the ground reflects do not
-SLOW = (
-    "single_scattering_albedo", "single_scattering_albedo_slope", "asymmetry", "asymmetry_second", "forward_fraction",
-    "forward_fraction_slope", "haze_polarisation", "fine_fraction", "fine_radius", "coarse_radius", "fine_width",
-    "coarse_width", "refractive_index", "absorption_index", "aerosol_scale_height", "ozone", "ground_albedo_slope",
-    "pressure",
-)  # fmt: skip
 
 
 def invert(
@@ -60,7 +40,8 @@ def invert(
     **Arguments**
 
     - `sky` (`skyfit.read`); `free`, names among `PARAMETERS`; `solver`, default `OrdersOfScattering.normal()`,
-      polarised for spectral radiance, scalar for the channels of a `response`
+      spherical, polarised for spectral radiance, scalar for the channels of a `response`. The precision is that of the
+      process, float32 unless `jax_enable_x64` is set; `skyfit invert` has the same defaults and computes in float64
     - `start`: the values that are not fitted, and those of the free ones where the search begins; with `guess` the
       haze's begin where single scattering explains the sky best; `starts` - 1 random ones besides
     - `fwhm_nm`: line shape (default: the file's, or estimated from the solar lines); `response`:
@@ -70,7 +51,7 @@ def invert(
     - `measurement`: noise, calibration, field of view, outliers (`Measurement`)
     - `priors`: name -> (value, sigma) in the parameter's unit; of a positive parameter sigma / value is that of its
       logarithm. `smooth`: name -> sigma of its change within an hour, on the same scale, for names that are not shared
-    - `draft`: solver of the slopes (default: for `OrdersOfScattering` its draft; else `solver` itself)
+    - `draft`: solver of the slopes (default: `solver` itself, which compiles once; a coarser one runs faster)
     - `max_steps` of each Levenberg-Marquardt search; `progress(done, of)` is called after each time that is fitted by
       itself
 

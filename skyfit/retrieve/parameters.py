@@ -1,5 +1,6 @@
 """The parameters of a sky by name: which leaf each one is, in what unit, within which bounds."""
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -10,9 +11,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..atmosphere import (
+    Aerosol,
     Atmosphere,
     HenyeyGreenstein,
     optical_depth_to_turbidity,
+    Rayleigh,
     turbidity_to_optical_depth,
     TwoModeAerosol,
     TwoTermHenyeyGreenstein,
@@ -34,19 +37,38 @@ def _degrees(radians):
 
 
 class Parameter(NamedTuple):
-    """One named scalar: its leaf in a `SkyModel`, unit, bounds and the scale on which it is fitted.
+    """One named scalar: its leaf in a `SkyModel`, unit, bounds, the scale on which it is fitted, and what holds of it.
 
-    `to_leaf` and `from_leaf` turn the stated unit into the leaf's. A log scale is for positive quantities.
+    - `place` of the leaf, "atmosphere.aerosol.optical_depth" for instance: a constituent by its name
+    - `log`: fitted as its logarithm, for positive quantities
+    - `to_leaf`, `from_leaf`: from the stated unit to the leaf's and back
+    - `slow`: the same over a day, as the kind of particle and the air are; the amount of haze, the pointing and, under
+      a moving sun, what the ground reflects are not
+    - `group`: "two lobes" or "particles" of what only a haze of that kind has
+    - `usual`: which sets of parameters that a sky scan determines have it, "lobes" (`DEFAULT_FREE`) or "particles"
+      (`PARTICLE_FREE`)
     """
 
     name: str
     unit: str
     lower: float
     upper: float
-    leaf: Callable[[SkyModel], Any]
+    place: str
     log: bool = False
     to_leaf: Callable = _same
     from_leaf: Callable = _same
+    slow: bool = False
+    group: str | None = None
+    usual: tuple[str, ...] = ()
+
+    @property
+    def of_instrument(self) -> bool:
+        """Whether it is one of the instrument, not of the atmosphere."""
+        return self.place.startswith("instrument.")
+
+    def leaf(self, model: SkyModel) -> Any:
+        """The parameter's leaf in a model or in a half of `partition`; `AttributeError` where there is none."""
+        return functools.reduce(getattr, self.place.split("."), model)
 
     def bound(self, free):
         """The value at an unconstrained `free` number: a logistic curve between the bounds."""
@@ -54,7 +76,7 @@ class Parameter(NamedTuple):
 
     def on_scale(self, free):
         """As `bound`, on the scale of the parameter: the logarithm of a positive quantity, else the value itself."""
-        low, high = self._ends()
+        low, high = self.ends()
         return low + (high - low) * jax.nn.sigmoid(free)
 
     def from_scale(self, scaled):
@@ -67,21 +89,21 @@ class Parameter(NamedTuple):
 
     def unbound(self, value: float) -> float:
         """The inverse of `bound`, for a value inside the bounds (nudged inside by 1 % of the range)."""
-        low, high = self._ends()
+        low, high = self.ends()
         share = (self.to_scale(value) - low) / (high - low)
         share = np.clip(share, 0.01, 0.99)
         return float(np.log(share / (1.0 - share)))
 
-    def place_of(self, model: SkyModel) -> Float[Array, ""]:
+    def free_of(self, model: SkyModel) -> Float[Array, ""]:
         """The unconstrained number of a model's value, which may be traced; `unbound` for traced values."""
-        low, high = self._ends()
+        low, high = self.ends()
         value = self.from_leaf(self.leaf(model))
         share = jnp.clip(((jnp.log(value) if self.log else value) - low) / (high - low), 0.01, 0.99)
         return jnp.log(share / (1.0 - share))
 
     def at_bound(self, value: float) -> bool:
         """Whether the value lies within a thousandth of the range from a bound."""
-        low, high = self._ends()
+        low, high = self.ends()
         share = (self.to_scale(value) - low) / (high - low)
         return bool(share < 1e-3 or share > 1.0 - 1e-3)
 
@@ -89,94 +111,88 @@ class Parameter(NamedTuple):
         """The allowed range in the parameter's unit; on a log scale one e-fold of the value."""
         return float(value) if self.log else self.upper - self.lower
 
-    def _ends(self):
+    def ends(self) -> tuple[float, float]:
+        """The bounds on the parameter's scale."""
         if self.log:
             return np.log(self.lower), np.log(self.upper)
         return self.lower, self.upper
 
 
+_HAZE, _GROUND = "atmosphere.aerosol", "atmosphere.ground"
+_LOBES, _PARTICLES, _BOTH = ("lobes",), ("particles",), ("lobes", "particles")
 _LIST = (
     Parameter(
-        "turbidity",
-        "1",
-        1.001,
-        50.0,
-        lambda m: m.atmosphere.aerosol.optical_depth,
-        True,
-        turbidity_to_optical_depth,
-        optical_depth_to_turbidity,
+        "turbidity", "1", 1.001, 50.0, f"{_HAZE}.optical_depth", log=True, to_leaf=turbidity_to_optical_depth,
+        from_leaf=optical_depth_to_turbidity,
     ),
-    Parameter("aerosol_optical_depth", "1", 1e-4, 5.0, lambda m: m.atmosphere.aerosol.optical_depth, True),
-    Parameter("angstrom_exponent", "1", -0.5, 3.5, lambda m: m.atmosphere.aerosol.angstrom_exponent),
+    Parameter("aerosol_optical_depth", "1", 1e-4, 5.0, f"{_HAZE}.optical_depth", log=True, usual=_BOTH),
+    Parameter("angstrom_exponent", "1", -0.5, 3.5, f"{_HAZE}.angstrom_exponent", usual=_LOBES),
     Parameter(
-        "single_scattering_albedo",
-        "1",
-        0.4,
-        1.0,
-        lambda m: m.atmosphere.aerosol.single_scattering_albedo,
+        "single_scattering_albedo", "1", 0.4, 1.0, f"{_HAZE}.single_scattering_albedo", slow=True, usual=_LOBES,
     ),
     Parameter(
-        "single_scattering_albedo_slope",
-        "1",
-        -0.5,
-        0.5,
-        lambda m: m.atmosphere.aerosol.single_scattering_albedo_slope,
+        "single_scattering_albedo_slope", "1", -0.5, 0.5, f"{_HAZE}.single_scattering_albedo_slope", slow=True,
     ),
-    Parameter("asymmetry", "1", 0.0, 0.95, lambda m: m.atmosphere.aerosol.phase.asymmetry),
-    Parameter("asymmetry_second", "1", -0.9, 0.95, lambda m: m.atmosphere.aerosol.phase.asymmetry_second),
-    Parameter("forward_fraction", "1", 0.0, 1.0, lambda m: m.atmosphere.aerosol.phase.forward_fraction),
-    Parameter("forward_fraction_slope", "1", -0.5, 0.5, lambda m: m.atmosphere.aerosol.phase.forward_fraction_slope),
-    Parameter("haze_polarisation", "1", 0.0, 1.0, lambda m: m.atmosphere.aerosol.phase.polarisation),
-    Parameter("fine_fraction", "1", 0.0, 1.0, lambda m: m.atmosphere.aerosol.fine_fraction),
-    Parameter("fine_radius", "um", 0.05, 0.5, lambda m: m.atmosphere.aerosol.fine_radius, True),
-    Parameter("coarse_radius", "um", 0.8, 6.0, lambda m: m.atmosphere.aerosol.coarse_radius, True),
-    Parameter("fine_width", "1", 0.3, 0.8, lambda m: m.atmosphere.aerosol.fine_width),
-    Parameter("coarse_width", "1", 0.3, 0.9, lambda m: m.atmosphere.aerosol.coarse_width),
-    Parameter("refractive_index", "1", 1.33, 1.6, lambda m: m.atmosphere.aerosol.refractive_index),
-    Parameter("absorption_index", "1", 1e-4, 0.1, lambda m: m.atmosphere.aerosol.absorption_index, True),
+    Parameter("asymmetry", "1", 0.0, 0.95, f"{_HAZE}.phase.asymmetry", slow=True, usual=_LOBES),
     Parameter(
-        "aerosol_scale_height",
-        "m",
-        200.0,
-        8000.0,
-        lambda m: m.atmosphere.aerosol.profile.scale_height,
-        True,
-    ),
-    Parameter("ozone", "DU", 50.0, 700.0, lambda m: m.atmosphere.ozone.column),
-    Parameter("ground_albedo", "1", 0.0, 1.0, lambda m: m.atmosphere.ground.albedo),
-    Parameter("ground_albedo_slope", "1", -1.0, 1.0, lambda m: m.atmosphere.ground.albedo_slope),
-    Parameter("ground_red_edge", "1", 0.0, 1.0, lambda m: m.atmosphere.ground.red_edge),
-    Parameter("pressure", "Pa", 3e4, 1.1e5, lambda m: m.atmosphere.rayleigh.pressure),
-    Parameter(
-        "pointing_zenith",
-        "degree",
-        -6.0,
-        6.0,
-        lambda m: m.instrument.pointing_zenith,
-        False,
-        _radians,
-        _degrees,
+        "asymmetry_second", "1", -0.9, 0.95, f"{_HAZE}.phase.asymmetry_second", slow=True, group="two lobes",
+        usual=_LOBES,
     ),
     Parameter(
-        "pointing_azimuth",
-        "degree",
-        -20.0,
-        20.0,
-        lambda m: m.instrument.pointing_azimuth,
-        False,
-        _radians,
-        _degrees,
+        "forward_fraction", "1", 0.0, 1.0, f"{_HAZE}.phase.forward_fraction", slow=True, group="two lobes",
+        usual=_LOBES,
     ),
-)
-PARAMETERS: dict[str, Parameter] = {p.name: p for p in _LIST}
-_TWO_TERM = ("asymmetry_second", "forward_fraction", "forward_fraction_slope")
-_PARTICLES = (
-    "fine_fraction", "fine_radius", "coarse_radius", "fine_width", "coarse_width", "refractive_index",
-    "absorption_index",
+    Parameter(
+        "forward_fraction_slope", "1", -0.5, 0.5, f"{_HAZE}.phase.forward_fraction_slope", slow=True,
+        group="two lobes", usual=_LOBES,
+    ),
+    Parameter("haze_polarisation", "1", 0.0, 1.0, f"{_HAZE}.phase.polarisation", slow=True),
+    Parameter(
+        "fine_fraction", "1", 0.0, 1.0, f"{_HAZE}.fine_fraction", slow=True, group="particles", usual=_PARTICLES,
+    ),
+    Parameter(
+        "fine_radius", "um", 0.05, 0.5, f"{_HAZE}.fine_radius", log=True, slow=True, group="particles",
+        usual=_PARTICLES,
+    ),
+    Parameter(
+        "coarse_radius", "um", 0.8, 6.0, f"{_HAZE}.coarse_radius", log=True, slow=True, group="particles",
+        usual=_PARTICLES,
+    ),
+    Parameter("fine_width", "1", 0.3, 0.8, f"{_HAZE}.fine_width", slow=True, group="particles"),
+    Parameter("coarse_width", "1", 0.3, 0.9, f"{_HAZE}.coarse_width", slow=True, group="particles"),
+    Parameter(
+        "refractive_index", "1", 1.33, 1.6, f"{_HAZE}.refractive_index", slow=True, group="particles",
+        usual=_PARTICLES,
+    ),
+    Parameter(
+        "absorption_index", "1", 1e-4, 0.1, f"{_HAZE}.absorption_index", log=True, slow=True, group="particles",
+        usual=_PARTICLES,
+    ),
+    Parameter(
+        "aerosol_scale_height", "m", 200.0, 8000.0, f"{_HAZE}.profile.scale_height", log=True, slow=True,
+    ),
+    Parameter("ozone", "DU", 50.0, 700.0, "atmosphere.ozone.column", slow=True),
+    Parameter("ground_albedo", "1", 0.0, 1.0, f"{_GROUND}.albedo", usual=_BOTH),
+    Parameter("ground_albedo_slope", "1", -1.0, 1.0, f"{_GROUND}.albedo_slope", slow=True),
+    Parameter("ground_red_edge", "1", 0.0, 1.0, f"{_GROUND}.red_edge", usual=_PARTICLES),
+    Parameter("pressure", "Pa", 3e4, 1.1e5, "atmosphere.rayleigh.pressure", slow=True),
+    Parameter(
+        "pointing_zenith", "degree", -6.0, 6.0, "instrument.pointing_zenith", to_leaf=_radians, from_leaf=_degrees,
+        usual=_BOTH,
+    ),
+    Parameter(
+        "pointing_azimuth", "degree", -20.0, 20.0, "instrument.pointing_azimuth", to_leaf=_radians,
+        from_leaf=_degrees, usual=_BOTH,
+    ),
 )  # fmt: skip
+PARAMETERS: dict[str, Parameter] = {p.name: p for p in _LIST}
+# what a sky scan determines, and the pointing that it needs; the same with haze of spheres in two modes of size
+DEFAULT_FREE = tuple(p.name for p in _LIST if "lobes" in p.usual)
+PARTICLE_FREE = tuple(p.name for p in _LIST if "particles" in p.usual)
+SLOW = tuple(p.name for p in _LIST if p.slow)
 
 
-# of the haze where a fit starts
+# optical depth of the haze where a fit starts
 _DEPTH = 0.15
 
 
@@ -188,14 +204,15 @@ def start_model(free: tuple[str, ...], pressure: float) -> SkyModel:
 
     **Arguments:** names that are free; `pressure` of the station, Pa. **Returns:** a `SkyModel`.
     """
-    two_terms = any(name in free for name in _TWO_TERM)
-    phase = TwoTermHenyeyGreenstein(0.75, 0.1, 0.8) if two_terms else HenyeyGreenstein(0.7)
-    model = SkyModel(Atmosphere.from_optical_depth(_DEPTH, phase=phase))
-    if any(name in free for name in _PARTICLES):
+    groups = {PARAMETERS[name].group for name in free if name in PARAMETERS}
+    if "particles" in groups:
         # pyright takes the inherited, abstract `phase` for an argument
-        spheres = TwoModeAerosol(_DEPTH, fine_fraction=0.7)  # pyright: ignore[reportCallIssue]
-        model = eqx.tree_at(lambda m: m.atmosphere.aerosol, model, spheres)
-    return eqx.tree_at(lambda m: m.atmosphere.rayleigh.pressure, model, as_float(pressure))
+        haze = TwoModeAerosol(_DEPTH, fine_fraction=0.7)  # pyright: ignore[reportCallIssue]
+    else:
+        two_lobes = TwoTermHenyeyGreenstein(0.75, 0.1, 0.8)
+        lobes = two_lobes if "two lobes" in groups else HenyeyGreenstein(0.7)
+        haze = Aerosol(optical_depth=as_float(_DEPTH), phase=lobes)
+    return SkyModel(Atmosphere(Rayleigh(pressure=as_float(pressure)), haze))
 
 
 def check_free(free: tuple[str, ...], model: SkyModel, argument: str = "free") -> None:
@@ -215,9 +232,11 @@ def check_free(free: tuple[str, ...], model: SkyModel, argument: str = "free") -
 
 def _present(parameter: Parameter, model: SkyModel) -> bool:
     try:
-        return parameter.leaf(model) is not None
+        leaf = parameter.leaf(model)
     except AttributeError:
         return False
+    # what is given per wavelength is no parameter
+    return leaf is not None and jnp.ndim(leaf) == 0
 
 
 def values_of(model: SkyModel, names) -> dict[str, float]:

@@ -30,8 +30,9 @@ class Prepared:
     """A checked question about a sky.
 
     `own` and `shared` names stand in the order of `PARAMETERS`, so that the same names in another order are the same
-    program; `slopes` is the solver of derivatives; `places` `[time, direction]` says which directions `problem` holds;
-    `rows`, the priors on the parameters' scales; `linked`, whether neighbours in time are tied.
+    program; `slopes` is the solver of derivatives, None for the same one; `places` `[time, direction]` says which
+    directions `problem` holds; `rows` are the priors on the parameters' scales; `linked` says whether neighbours in
+    time are tied.
     """
 
     sky: Sky
@@ -39,7 +40,7 @@ class Prepared:
     own: tuple[str, ...]
     shared: tuple[str, ...]
     solver: AbstractSolver
-    slopes: AbstractSolver
+    slopes: AbstractSolver | None
     start: SkyModel
     measurement: Measurement
     priors: dict[str, tuple[float, float]]
@@ -119,7 +120,7 @@ def prepared(
     problem, places = sampling.problem(chosen, measurement)
     rows = _prior_rows(sky, own, common, known, ties if linked else {}, measurement.calibration_prior(sky))
     return Prepared(
-        sky, free, own, common, solver, solver.coarser() if draft is None else draft, start, measurement, known, ties,
+        sky, free, own, common, solver, None if draft == solver else draft, start, measurement, known, ties,
         max_steps, sampling, chosen, problem, places, rows, linked,
     )  # fmt: skip
 

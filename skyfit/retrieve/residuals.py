@@ -15,6 +15,10 @@ from .model import SkyModel
 from .parameters import PARAMETERS, with_values
 
 
+# the share of a parameter's range over which slopes are taken, to either side
+_DIFFERENCE = 0.005
+
+
 class Choices(NamedTuple):
     """What a retrieval is compiled for: names of each time's own and of the shared parameters, loss, calibration."""
 
@@ -53,7 +57,7 @@ class Priors(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What the solver said at the last point that was accepted."""
+    """What the solver said at the last point that was accepted; slopes are by the parameters on their scales."""
 
     radiance: Float[Array, "time direction channel"]
     direct: Float[Array, "time channel"] | None
@@ -154,18 +158,40 @@ def _reduced_time(own, common, by_channel, right):
 
 
 def linearised(
-    names: tuple[str, ...], solver: AbstractSolver, slopes_by: AbstractSolver, fixed: SkyModel, values, one: Problem
+    names: tuple[str, ...],
+    solver: AbstractSolver,
+    slopes_by: AbstractSolver | None,
+    fixed: SkyModel,
+    scaled,
+    one: Problem,
 ) -> Known:
-    """What the solver says of one time, and the derivatives by the parameters, `[sample, parameter]`, by another."""
+    """What the solver says of one time, and its slopes by the parameters on their scales, by `slopes_by` if given.
 
-    def samples(values):
-        return _samples(one, *observe(slopes_by, with_values(fixed, names, values), one))
+    The slopes are central differences over a hundredth of each range, kept inside it. Values and slopes then are one
+    loop through one copy of the solver: it compiles in a fifth of the time of forward-mode slopes, takes about as long
+    to run, and is right to 1e-3 in either precision (experiments/benchmarks/first_result.py).
+    """
+    low, high = (jnp.asarray(ends, scaled.dtype) for ends in zip(*(PARAMETERS[n].ends() for n in names), strict=True))
+    step = _DIFFERENCE * (high - low)
+    ahead, behind = jnp.minimum(scaled + step, high) - scaled, jnp.maximum(scaled - step, low) - scaled
+    around = jnp.concatenate([scaled[None] + jnp.diag(ahead), scaled[None] + jnp.diag(behind)])
 
-    radiance, direct = observe(solver, with_values(fixed, names, values), one)
-    return Known(radiance, direct, jax.jacfwd(samples)(values))
+    def read(solver, scaled):
+        values = [PARAMETERS[n].from_scale(scaled[i]) for i, n in enumerate(names)]
+        return observe(solver, with_values(fixed, names, values), one)
+
+    if slopes_by is None:
+        every = jax.lax.map(lambda point: read(solver, point), jnp.concatenate([scaled[None], around]))
+        (radiance, direct), beside = (jax.tree.map(lambda v, part=part: v[part], every) for part in (0, slice(1, None)))
+    else:
+        radiance, direct = read(solver, scaled)
+        beside = jax.lax.map(lambda point: read(slopes_by, point), around)
+    samples = jax.vmap(lambda sky, beam: _samples(one, sky, beam))(*beside)
+    count = len(names)
+    return Known(radiance, direct, ((samples[:count] - samples[count:]) / (ahead - behind)[:, None]).T)
 
 
-def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolver):
+def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolver | None):
     """The rows of all times, linear about the point, for `minimise`."""
     names, count = choices.names, len(choices.own)
 
@@ -177,9 +203,8 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
 
         def known_at(item):
             own, one = item
-            free = jnp.concatenate([own, shared])
-            values, slope = _with_slope(bound, names, free)
-            return linearised(names, solver, slopes_by, fixed, values, one), slope
+            scaled, slope = _with_slope(on_scale, names, jnp.concatenate([own, shared]))
+            return linearised(names, solver, slopes_by, fixed, scaled, one), slope
 
         known, slopes = jax.lax.map(known_at, (here.own, problem))
         residual, weight = whitened(problem, known, calibration, scale)

@@ -36,7 +36,8 @@ def retrieve(
     """The parameters of some times of a sky and their covariance: pure, for `jit`, `vmap` and `grad`.
 
     **Arguments:** `problem`, the samples; `model`, whose other values are not fitted; `free`, names among `PARAMETERS`;
-    `solver` of the radiance, `slopes` of its derivatives in the search and in sigma (default: the solver's draft);
+    `solver` of the radiance, `slopes` of its derivatives in the search and in sigma (default: the same one, so that a
+    single copy of it is compiled; a coarser one runs faster);
     `shared`, the free names that all times have in common; `priors` in the order (each time's own, shared); `start`,
     unconstrained numbers in that order, `own` `[start, time, parameter]` and `shared` `[start, shared]` (default: the
     model's values): the search goes from each of them, and once more from the best end with the noise that it left;
@@ -57,12 +58,11 @@ def retrieve(
         nothing = jnp.zeros(len(free), dtype)
         priors = Priors(nothing, nothing, None, jnp.zeros((times - 1, len(choices.own)), dtype))
     if start is None:
-        point = jnp.stack([PARAMETERS[n].place_of(model) for n in choices.names]).astype(dtype)
+        point = jnp.stack([PARAMETERS[n].free_of(model) for n in choices.names]).astype(dtype)
         own, common = point[: len(choices.own)], point[len(choices.own) :]
         start = Point(jnp.broadcast_to(own, (1, times, own.size)), common[None])
     numbers = Numbers(*(jnp.asarray(v) for v in (threshold, model_error, max_steps)))
     _, fixed = partition(model, free)
-    slopes = solver.coarser() if slopes is None else slopes
     end = search(choices, numbers, (solver, slopes), fixed, problem, priors, start)
     found = described(choices, numbers, problem, priors, end)
     order = np.array([choices.names.index(n) for n in free])
@@ -78,7 +78,7 @@ def retrieve(
 def search(
     choices: Choices,
     numbers: Numbers,
-    solvers: tuple[AbstractSolver, AbstractSolver],
+    solvers: tuple[AbstractSolver, AbstractSolver | None],
     fixed: SkyModel,
     problem: Problem,
     priors: Priors,

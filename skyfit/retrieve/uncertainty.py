@@ -130,13 +130,13 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     log = jnp.asarray([PARAMETERS[n].log for n in names])
     spread = jnp.where(log[None], values, as_float([PARAMETERS[n].spread(1.0) for n in names])[None])
     instrument = instrument_gain(calibration, problem)
-    columns = known.jacobian * (weight * instrument)[..., None] * spread[:, None]
+    # a unit on the parameter's scale is one e-fold, or the range
+    unit = jnp.where(log, 1.0, as_float([PARAMETERS[n].spread(1.0) for n in names]))
+    columns = known.jacobian * (weight * instrument)[..., None] * unit[None, None]
     by_channel = None
     if choices.calibrated:
         by_channel = known.radiance * weight[:, : directions * channels].reshape(problem.measured.shape)
     errors = numbers.model_error * model_errors(problem, known.radiance) * (weight * instrument)[..., None]
-    # a prior or a step on the parameter's scale: a unit there is one e-fold, or the range
-    unit = jnp.where(log, 1.0, as_float([PARAMETERS[n].spread(1.0) for n in names]))
     tight = unit * priors.inverse_sigma
     side = errors.shape[2]
     own, common, right = rows_of_times(

@@ -3,6 +3,7 @@
 from typing import Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -14,6 +15,11 @@ from .directions import Directions
 
 def _height(value):
     return None if value is None else as_float(value)
+
+
+def _radians(degrees):
+    # on the host where it can be: a program of its own otherwise
+    return jnp.deg2rad(as_float(degrees)) if isinstance(degrees, jax.Array) else np.deg2rad(np.asarray(degrees, float))
 
 
 class Scene(eqx.Module):
@@ -69,5 +75,4 @@ class Scene(eqx.Module):
             values = values * earth_sun_factor(day_of_year)
         if isinstance(height, float | int) and not height >= 0.0:
             raise ValueError(f"`height` must be >= 0 m or None, got {height}")
-        sun = jnp.deg2rad(as_float(sun_zenith)), jnp.deg2rad(as_float(sun_azimuth))
-        return cls(*sun, view, wavelength_nm, values, height)
+        return cls(_radians(sun_zenith), _radians(sun_azimuth), view, wavelength_nm, values, height)

@@ -1,6 +1,7 @@
 """Columns along straight rays through a flat or a spherical atmosphere, normalised to the vertical column."""
 
 import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..atmosphere import AbstractProfile, Exponential, Layered, Levels, OzoneLayer
-from ..numerics import gauss_legendre, hat_weights, safe_sqrt
+from ..numerics import gauss_legendre, hat_weights, polynomial, safe_sqrt
 from .contract import Geometry
 
 
@@ -82,13 +83,7 @@ def _grazing(x):
     near = 1.0 / (1.0 + 0.4 * x)
     place = 2.0 * near - 1.0
 
-    def polynomial(coefficients):
-        value = coefficients[-1]
-        for c in coefficients[-2::-1]:
-            value = value * place + c
-        return near * value
-
-    return polynomial(_ERFCX), polynomial(_CURVATURE)
+    return near * polynomial(_ERFCX, place), near * polynomial(_CURVATURE, place)
 
 
 def chapman_column(scale_height, height, cosine):
@@ -215,12 +210,39 @@ def slant_column(
     **Source:** `chapman_column`; quadrature: Klassen 1987, eq. 27, 28 with the exact change of variable (his l(r)
     is linear in r).
     """
+    return slant_columns([profile], height, cosine, geometry)[0]
+
+
+def slant_columns(
+    profiles: Sequence[AbstractProfile],
+    height: Float[Array, "*shape"],
+    cosine: Float[Array, "*shape"],
+    geometry: Geometry,
+) -> Float[Array, "constituent ..."]:
+    """`slant_column` of several profiles."""
     if geometry == "flat":
-        return outward_column(profile, height, cosine, geometry)
-    outward = outward_column(profile, height, jnp.abs(cosine), geometry)
+        return outward_columns(profiles, height, cosine, geometry)
     lowest = jnp.maximum(tangent_height(height, cosine), 0.0)
-    through = 2.0 * outward_column(profile, lowest, jnp.zeros_like(lowest), geometry) - outward
-    return jnp.where(cosine >= 0.0, outward, jnp.maximum(through, outward))
+    # from here and from the lowest point: one program for both
+    ends = jnp.stack([height, lowest]), jnp.stack([jnp.abs(cosine), jnp.zeros_like(cosine)])
+    both = outward_columns(profiles, *ends, geometry)
+    outward, through = both[:, 0], 2.0 * both[:, 1] - both[:, 0]
+    return jnp.where(cosine[None] >= 0.0, outward, jnp.maximum(through, outward))
+
+
+def outward_columns(
+    profiles: Sequence[AbstractProfile], height, cosine, geometry: Geometry
+) -> Float[Array, "constituent ..."]:
+    """`outward_column` of several profiles: one program for all that are of a kind."""
+    kinds: dict = {}
+    for place, profile in enumerate(profiles):
+        leaves, tree = jax.tree.flatten(profile)
+        kinds.setdefault((tree, *(leaf.shape for leaf in leaves)), []).append(place)
+    columns, places = [], [place for kind in kinds.values() for place in kind]
+    for kind in kinds.values():
+        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(profiles[place] for place in kind))
+        columns.append(jax.vmap(lambda profile: outward_column(profile, height, cosine, geometry))(stacked))
+    return jnp.concatenate(columns)[np.argsort(places)]
 
 
 def tangent_height(height, cosine):

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractConstituent
 from ..scene import Scene
-from .columns import slant_column
+from .columns import slant_columns
 from .contract import Geometry
 
 
@@ -55,7 +55,6 @@ def sun_depth(
     """The optical depth from the ground toward the sun; below the horizon, past the tangent point."""
     cosine = jnp.cos(scene.sun_zenith)
     ground = jnp.zeros_like(cosine)
-    depth = jnp.zeros(extinction.shape[1], extinction.dtype)
-    for c, vertical in zip(constituents, extinction, strict=True):
-        depth = depth + slant_column(c.profile, ground, cosine, geometry) * vertical
-    return depth
+    if not constituents:
+        return jnp.zeros(extinction.shape[1], extinction.dtype)
+    return slant_columns([c.profile for c in constituents], ground, cosine, geometry) @ extinction

@@ -184,7 +184,7 @@ class Shells(AbstractSolver):
 
     Every constituent that scatters is a layer from the ground (`layers`); `geometry` "spherical" is the sky of
     concentric layers, "flat" the fog, in closed form and with `path`. `nodes`, Gauss nodes for each layer's piece
-    of a view (flat: none). `blue_sky` "scattered": the air (the atmosphere's place `rayleigh`) scatters like the
+    of a view (flat: none). `blue_sky` "scattered": the air (what the atmosphere names `rayleigh`) scatters like the
     haze. "constant" (spherical): only haze scatters, within its layer, before his constant blue
     $E_0 (1 - e^{-\tau_m}) \sin\phi / 4\pi$; the sine of the sun's elevation is the scale of brightness taken here,
     he gives none. `low_sun` (flat): no direct light passes the fog; what it sends to the eye is its opacity times
@@ -268,6 +268,12 @@ def _scatterers(atmosphere: Atmosphere) -> tuple[AbstractConstituent, ...]:
     return tuple(c for c in atmosphere.constituents if c.phase is not None)
 
 
+def _is_air(atmosphere: Atmosphere) -> list[bool]:
+    """Whether each scatterer is the air."""
+    named = zip(atmosphere.names, atmosphere.constituents, strict=True)
+    return [name == "rayleigh" for name, c in named if c.phase is not None]
+
+
 def _absorbers(atmosphere: Atmosphere) -> tuple[AbstractConstituent, ...]:
     return tuple(c for c in atmosphere.constituents if c.phase is None)
 
@@ -289,11 +295,12 @@ def _path(solver: Shells, atmosphere: Atmosphere, scene: Scene, distance) -> Pat
     air = layers(scatterers, scene.wavelength_nm)
     depth, integral = layer_path(air, scene, distance)
     beam = scene.solar_irradiance * sun_transmittance(_absorbers(atmosphere), scene, "flat")
-    fog = [i for i, c in enumerate(scatterers) if c is not atmosphere.rayleigh]
+    clear = _is_air(atmosphere)
+    fog = [i for i, is_clear in enumerate(clear) if not is_clear]
     if not (solver.low_sun and fog):
         return Path(jnp.exp(-depth), _scattered(integral, air, scatterers, scene) * beam[None])
-    clear = jnp.array([c is atmosphere.rayleigh for c in scatterers])
-    inscatter = _scattered(jnp.where(clear[None, :, None], integral, 0.0), air, scatterers, scene) * beam[None]
+    by_air = jnp.where(jnp.array(clear)[None, :, None], integral, 0.0)
+    inscatter = _scattered(by_air, air, scatterers, scene) * beam[None]
     # so low a sun is seen through curved air
     above = jnp.max(jnp.stack([air.top[i] for i in fog]))
     around = scene.solar_irradiance * sun_transmittance(atmosphere.constituents, scene, "spherical", above)
@@ -317,7 +324,7 @@ def _radiance(solver: Shells, atmosphere: Atmosphere, scene: Scene):
     integral = shell_integral(air, scene, solver.nodes)
     blue = jnp.zeros_like(integral[:, 0])
     if solver.blue_sky == "constant":
-        haze = jnp.array([c is not atmosphere.rayleigh for c in scatterers])
+        haze = ~jnp.array(_is_air(atmosphere))
         integral = jnp.where(haze[None, :, None], integral, 0.0)
         blue = _constant_blue(air, haze, scene)
     return jnp.where(above, _scattered(integral, air, scatterers, scene) * beam[None] + blue, 0.0)

@@ -8,11 +8,11 @@ from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractConstituent, Atmosphere, Layered
 from ..scene import Scene
-from .columns import slant_column
+from .columns import slant_columns
 from .contract import AbstractSolver, check_geometry, Fluxes, Geometry, Path, SCALAR_ERROR, Stokes
 from .dome import fluxes_by_quadrature
 from .optics import optics, scatterer_indices, transmitted_sun
-from .views import end_points, eye_column, lit_points, Views, views_of
+from .views import end_points, eye_columns, lit_points, Views, views_of
 
 
 def single_scattering(
@@ -36,9 +36,9 @@ def _scattered_once(
 ):
     reach = jnp.max(jnp.stack([c.profile.reach() for c in constituents if c.phase is not None]))
     points, step = lit_points(views, reach, _edges(constituents), nodes, geometry)
-    to_eye = [eye_column(c.profile, views, points, geometry) for c in constituents]
-    to_sun = [slant_column(c.profile, points.height, points.sun_cosine, geometry) for c in constituents]
-    column = jnp.stack([e + s for e, s in zip(to_eye, to_sun, strict=True)], axis=-1)
+    profiles = [c.profile for c in constituents]
+    to_sun = slant_columns(profiles, points.height, points.sun_cosine, geometry)
+    column = jnp.moveaxis(eye_columns(profiles, views, points, geometry) + to_sun, 0, -1)
     scatterers = [constituents[i] for i in scatterer_indices(constituents)]
     source = jnp.stack([step * c.profile.density(points.height) for c in scatterers], axis=1)
     source, column = jax.lax.optimization_barrier((source, column))
@@ -177,8 +177,9 @@ class SingleScattering(AbstractSolver):
         views = views_of(scene, self.geometry, distance)
         ends = end_points(views, self.geometry)
         depth = jnp.zeros((distance.shape[0], scene.wavelength_nm.shape[0]), extinction.dtype)
-        for c, vertical in zip(constituents, extinction, strict=True):
-            depth = depth + eye_column(c.profile, views, ends, self.geometry) * vertical[None]
+        if constituents:
+            columns = eye_columns([c.profile for c in constituents], views, ends, self.geometry)
+            depth = columns[..., 0].T @ extinction
         inscatter = jnp.zeros_like(depth)
         if scatterer_indices(constituents):
             (once,) = _scattered_once(constituents, scene, extinction, self.nodes, self.geometry, views)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ..atmosphere import Atmosphere
 from ..numerics import chebyshev_nodes, chebyshev_weights, hat_weights
 from ..scene import above_horizon, Directions, haversine, Scene
-from .columns import exponential_nodes, slant_column
+from .columns import exponential_nodes, slant_columns
 from .contract import AbstractSolver, check_on_ground, Geometry
 from .optics import optics
 
@@ -154,7 +154,7 @@ def _log_phase(atmosphere: Atmosphere, scene: Scene, geometry: Geometry) -> Floa
     y, weight = (jnp.asarray(v, wavelength.dtype) for v in exponential_nodes(_HEIGHTS))
     height = jnp.stack([c.profile.reach() * y for c, *_ in scatterers])
     cosine = jnp.cos(scene.sun_zenith) + jnp.zeros_like(height)
-    column = jnp.stack([slant_column(c.profile, height, cosine, geometry) for c in constituents], axis=-1)
+    column = jnp.moveaxis(slant_columns([c.profile for c in constituents], height, cosine, geometry), 0, -1)
     depth = column @ depths.extinction
     sunlight = jnp.exp(jnp.min(depth, axis=(0, 1))[None, None] - depth)
     half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)

@@ -1,5 +1,6 @@
 """Where views run through the air: the lit parts of each, quadrature points on them, columns from the eye."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from .columns import (
     height_gain,
     length_scale,
     MIN_COSINE,
-    outward_column,
+    outward_columns,
     tangent_height,
     TOP_OF_AIR,
 )
@@ -197,19 +198,22 @@ def end_points(views: Views, geometry: Geometry) -> Points:
     return Points(height, views.cosine[:, None], views.sun_cosine + jnp.zeros_like(height))
 
 
-def eye_column(
-    profile: AbstractProfile, views: Views, points: Points, geometry: Geometry
-) -> Float[Array, "direction node"]:
-    """The column between the eye and points on its views, in units of the vertical column from the ground."""
-    here = outward_column(profile, views.height, jnp.abs(views.cosine), geometry)[:, None]
-    there = outward_column(profile, points.height, jnp.abs(points.view_cosine), geometry)
+def eye_columns(
+    profiles: Sequence[AbstractProfile], views: Views, points: Points, geometry: Geometry
+) -> Float[Array, "constituent direction node"]:
+    """The columns between the eye and points on its views, in units of the vertical column from the ground."""
+    lowest = jnp.maximum(tangent_height(views.height, views.cosine), 0.0)
+    height = jnp.concatenate([views.height[:, None], lowest[:, None], points.height], axis=1)
+    cosine = jnp.concatenate([views.cosine[:, None], jnp.zeros_like(lowest)[:, None], points.view_cosine], axis=1)
+    outward = outward_columns(profiles, height, jnp.abs(cosine), geometry)
+    here, from_lowest, there = outward[..., :1], outward[..., 1:2], outward[..., 2:]
     climbed = here - there
     if not views.aloft:
         return jnp.maximum(climbed, 0.0)
-    column = jnp.where(points.view_cosine < 0.0, -climbed, climbed)
+    descends = points.view_cosine[None] < 0.0
+    column = jnp.where(descends, -climbed, climbed)
     if geometry == "spherical":
         # down to the lowest point and up again
-        lowest = jnp.maximum(tangent_height(views.height, views.cosine), 0.0)
-        through = 2.0 * outward_column(profile, lowest, jnp.zeros_like(lowest), geometry)[:, None] - here - there
-        column = jnp.where((views.cosine[:, None] < 0.0) & (points.view_cosine >= 0.0), through, column)
+        through = 2.0 * from_lowest - here - there
+        column = jnp.where((views.cosine[None, :, None] < 0.0) & ~descends, through, column)
     return jnp.maximum(column, 0.0)

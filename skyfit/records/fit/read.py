@@ -5,17 +5,13 @@ from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 
-import equinox as eqx
-import jax
 import numpy as np
 
-from ...atmosphere import CornetteShanks, Rayleigh, SEA_LEVEL_PRESSURE
+from ...atmosphere import from_description
 from ...measured import Response
-from ...numerics import as_float
-from ...retrieve import Fitted, PARAMETERS, start_model, with_values
+from ...retrieve import Fitted, PARAMETERS, SkyModel, values_of, with_values
 from ...transport import AbstractSolver, SOLVERS
 from .schema import is_number, parse, shown
-from .write import constants_of, kinds_of, names_of, place_of
 
 
 def rebuilt(record: dict) -> Fitted:
@@ -23,14 +19,14 @@ def rebuilt(record: dict) -> Fitted:
     free, shared, times = record["free"], record["shared"]["parameters"], record["times"]
     if not times:
         raise ValueError("key `times`: expected an entry or more, found none")
-    model = _model(record["atmosphere"])
-    known = set(names_of(model))
+    model = SkyModel(from_description(record["atmosphere"], "atmosphere"))
+    known = values_of(model, PARAMETERS).keys() - {"turbidity"}
     leaves = [_leaf_name(name) for name in free]
     if not known.issuperset(leaves) or len(set(leaves)) < len(leaves):
         raise ValueError(f"key `free`: expected each parameter of this atmosphere once, found {shown(free)}")
     _check_parameters("fixed", record["fixed"], known - set(leaves), fitted=False)
     _check_parameters("shared.parameters", shared, set(free) & set(shared))
-    model = _with(_with(model, record["fixed"]), shared)
+    model = _with(_with_fixed(model, record["fixed"]), shared)
     models = []
     for t, entry in enumerate(times):
         _check_parameters(f"times[{t}].parameters", entry["parameters"], set(free) - set(shared))
@@ -70,34 +66,17 @@ def _calibration(about: dict, times: int, channels: bool):
     return wavelength, np.broadcast_to(np.array(rows, float), (times, wavelength.size))
 
 
-def _model(about: dict):
-    """The model of the recorded kinds and constants; its parameters are still those of a start."""
-    # by what is free in it a start has the kind of haze that it has
-    kinds = {"TwoTermHenyeyGreenstein": ("forward_fraction",), "TwoModePhase": ("fine_fraction",)}
-    model = start_model(kinds.get(about["phase"], ()), SEA_LEVEL_PRESSURE)
-    if about["phase"] == "CornetteShanks":
-        model = eqx.tree_at(lambda m: m.atmosphere.aerosol.phase, model, CornetteShanks(0.7))
-    if about["rayleigh_formula"] == "paper":
-        model = eqx.tree_at(lambda m: m.atmosphere.rayleigh, model, Rayleigh(formula="paper"))
-    for place in ("rayleigh", "aerosol", "ozone"):
-        if about[place] is None:
-            model = eqx.tree_at(lambda m, place=place: getattr(m.atmosphere, place), model, None)
-    for key, kind in kinds_of(model).items():
-        if about[key] != kind:
+def _with_fixed(model, fixed: dict):
+    """The model with what is fixed of the instrument; what is fixed of the atmosphere it must have already."""
+    own = values_of(model, fixed)
+    for name, entry in fixed.items():
+        if PARAMETERS[name].of_instrument:
+            continue
+        if not np.isclose(entry["value"], own[name], rtol=1e-5, atol=0.0):
             raise ValueError(
-                f"key `atmosphere.{key}`: expected {shown(kind)}, found {shown(about[key])}, which only the "
-                "program that made it can rebuild"
+                f"key `fixed.{name}.value`: expected that of `atmosphere`, {own[name]:g}, found {entry['value']:g}"
             )
-    constants, expected = about["constants"], constants_of(model)
-    for name in [*expected, *constants]:
-        if name not in expected or not is_number(constants.get(name)):
-            raise ValueError(
-                f"key `atmosphere.constants.{name}`: expected {'a number' if name in expected else 'none'}, "
-                f"found {shown(constants.get(name))}"
-            )
-    return jax.tree_util.tree_map_with_path(
-        lambda path, leaf: as_float(constants[place_of(path)]) if place_of(path) in constants else leaf, model
-    )
+    return _with(model, {name: entry for name, entry in fixed.items() if PARAMETERS[name].of_instrument})
 
 
 def _with(model, values: dict):
@@ -141,11 +120,11 @@ def _solver(record: dict) -> AbstractSolver:
     if name not in known:
         raise ValueError(f"key `solver.name`: expected one of {', '.join(known)}, found {shown(name)}")
     defaults = known[name]()
-    for key in [f.name for f in fields(defaults)] + list(settings):
+    usual = {f.name: getattr(defaults, f.name) for f in fields(defaults)}
+    for key in [*usual, *settings]:
         if key not in settings:
             raise ValueError(f"key `solver.{key}`: expected, found none")
-        usual = getattr(defaults, key, None)
-        if usual is None or type(settings[key]) is not type(usual):
+        if key not in usual or type(settings[key]) is not type(usual[key]):
             raise ValueError(f"key `solver.{key}`: expected a setting of {name}, found {shown(settings[key])}")
     if record["geometry"] != settings["geometry"]:
         raise ValueError(f"key `geometry`: expected that of the solver, found {shown(record['geometry'])}")
@@ -160,7 +139,7 @@ def load(path: str | os.PathLike) -> Fitted:
 
     **Arguments:** `path`, a JSON file of the form that `record_form` documents.
     **Returns:** a `Fitted`, with values in the process's default float type.
-    **Valid:** air, haze of any Henyey-Greenstein kind in an exponential profile, ozone or none.
+    **Valid:** constituents, phase functions and profiles of skyfit's own (`skyfit.atmosphere.CONSTITUENTS`).
     **Errors:** a one-line `ValueError` that names the file and the key for everything else.
     """
     path = Path(path)

@@ -1,9 +1,9 @@
 r"""The form of a fit's JSON record, and the check that a file has it.
 
 `skyfit.save(fit, "*.json")` writes strict JSON (UTF-8; what is not finite is null) of the schema
-"skyfit.fit", version 2. Angles are in degrees, azimuth clockwise from north; a value has its unit beside it.
+"skyfit.fit", version 3. Angles are in degrees, azimuth clockwise from north; a value has its unit beside it.
 
-    schema, version       "skyfit.fit", 2
+    schema, version       "skyfit.fit", 3
     skyfit_version        of the package that wrote the file, or null
     source                name of the measured file
     solver                name: class in skyfit.transport; then all its settings by name
@@ -12,12 +12,8 @@ r"""The form of a fit's JSON record, and the check that a file has it.
       fwhm_nm             Gaussian line shape, null for none
       response            null, or names, wavelength_nm and weight [channel][wavelength]: the samples are channels
     station               latitude_deg, longitude_deg, altitude_m, pressure_pa; null where unknown
-    atmosphere            what the parameters do not tell
-      rayleigh, aerosol, ozone                          class of the constituent, null where absent
-      rayleigh_formula                                  "bodhaine" or "paper"
-      phase, rayleigh_phase                             class of the phase function: haze, air
-      aerosol_profile, rayleigh_profile, ozone_profile  class of the vertical profile
-      constants                                         numbers that no parameter names, SI, by their place
+    atmosphere            where the fit began, as skyfit/atmosphere/description.py documents: constituents by name with
+                          kind and every number, and ground; what is free has its first guess here
     measurement           relative, floor, calibration (null: by the file, else the default), model_error,
                           field_of_view_deg, loss, threshold as in skyfit.Measurement;
                           calibration_prior: sigma of each wavelength's scale that the fit took, 0: exact
@@ -27,7 +23,7 @@ r"""The form of a fit's JSON record, and the check that a file has it.
     shared                what all times have in common
       parameters          name: {value, unit, sigma, model_sigma, at_bound, determined}
       correlation         [parameter][parameter] of these alone, in the order of `free`
-    fixed                 name: {value, unit}
+    fixed                 name: {value, unit}, those of the atmosphere as it stands above
     calibration           the instrument's scale at the fitted wavelengths; 1 and sigma 0 where it was not fitted
       wavelength_nm       [wavelength]
       scale, sigma        [time][wavelength], of one row where all times share it
@@ -55,7 +51,7 @@ import json
 from pathlib import Path
 
 
-SCHEMA, VERSION = "skyfit.fit", 2
+SCHEMA, VERSION = "skyfit.fit", 3
 _NUMBER, _TEXT, _COUNT, _FLAG = "a number", "text", "a count", "true or false"
 _NUMBER_OR_NULL, _TEXT_OR_NULL, _OBJECT_OR_NULL = "a number or null", "text or null", "an object or null"
 _FITTED = {
@@ -73,12 +69,7 @@ _FORM = {
     "geometry": _TEXT,
     "instrument": {"fwhm_nm": _NUMBER_OR_NULL, "response": _OBJECT_OR_NULL},
     "station": dict.fromkeys(("latitude_deg", "longitude_deg", "altitude_m", "pressure_pa"), _NUMBER_OR_NULL),
-    "atmosphere": {
-        **dict.fromkeys(("rayleigh", "aerosol", "ozone", "rayleigh_formula"), _TEXT_OR_NULL),
-        **dict.fromkeys(("phase", "rayleigh_phase"), _TEXT_OR_NULL),
-        **dict.fromkeys(("aerosol_profile", "rayleigh_profile", "ozone_profile"), _TEXT_OR_NULL),
-        "constants": {},
-    },
+    "atmosphere": {"constituents": {_ANY: {"kind": _TEXT}}, "ground": {}},
     "measurement": {
         **dict.fromkeys(("relative", "floor", "calibration"), _NUMBER_OR_NULL),
         **dict.fromkeys(("calibration_prior", "model_error", "field_of_view_deg", "threshold"), _NUMBER),
@@ -135,7 +126,7 @@ def parse(path: Path) -> dict:
         found = record.get("schema") if isinstance(record, dict) else None
         raise ValueError(f'key `schema`: expected "{SCHEMA}", found {shown(found)}')
     if record.get("version") != VERSION:
-        advice = ", of an older skyfit: fit the sky again with it" if record.get("version") == 1 else ""
+        advice = ", of an older skyfit: fit the sky again with it" if record.get("version") in (1, 2) else ""
         raise ValueError(f"key `version`: expected {VERSION}, found {shown(record.get('version'))}{advice}")
     _check(record, _FORM, "")
     return record

@@ -9,12 +9,12 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from ...atmosphere import describe
 from ...measured import atomic, Sky, write_sky
 from ...measured.units import RADIANCE
 from ...measured.writers import axes, degrees, write_netcdf
 from ...measured.writing import skyfit_version
-from ...retrieve import Derived, Fit, haze_optics, PARAMETERS, values_of
-from ...retrieve.parameters import partition
+from ...retrieve import Derived, Fit, haze_optics, PARAMETERS
 from .schema import SCHEMA, VERSION
 
 
@@ -28,11 +28,11 @@ def record_of(fit: Fit) -> dict:
         "version": VERSION,
         "skyfit_version": skyfit_version(),
         "source": sky.source,
-        "solver": {"name": _class_name(solver)} | {f.name: getattr(solver, f.name) for f in fields(solver)},
+        "solver": {"name": type(solver).__name__} | {f.name: getattr(solver, f.name) for f in fields(solver)},
         "geometry": solver.geometry,
         "instrument": {"fwhm_nm": fit.fwhm_nm, "response": _response(fit)},
         "station": {name: getattr(sky, name) for name in station},
-        "atmosphere": kinds_of(fit.start) | {"constants": constants_of(fit.start)},
+        "atmosphere": describe(fit.start.atmosphere),
         "measurement": {
             "relative": given.relative,
             "floor": given.floor,
@@ -139,45 +139,6 @@ def _iso(time: np.datetime64) -> str | None:
         return None
     whole = time.astype("datetime64[s]")
     return str(whole if whole == time else time) + "Z"
-
-
-def names_of(model) -> list[str]:
-    """The parameters that a model has, each leaf once."""
-    return [name for name in values_of(model, PARAMETERS) if name != "turbidity"]
-
-
-def _class_name(thing) -> str | None:
-    """The class's name; with its module where it is not skyfit's own."""
-    kind = type(thing)
-    own = kind.__module__.startswith("skyfit.")
-    return None if thing is None else kind.__name__ if own else f"{kind.__module__}.{kind.__qualname__}"
-
-
-def kinds_of(model) -> dict[str, str | None]:
-    """What an atmosphere is made of."""
-    air, haze, ozone = model.atmosphere.rayleigh, model.atmosphere.aerosol, model.atmosphere.ozone
-    return {
-        "rayleigh": _class_name(air),
-        "aerosol": _class_name(haze),
-        "ozone": _class_name(ozone),
-        "rayleigh_formula": getattr(air, "formula", None),
-        "phase": _class_name(getattr(haze, "phase", None)),
-        "rayleigh_phase": _class_name(getattr(air, "phase", None)),
-        "aerosol_profile": _class_name(getattr(haze, "profile", None)),
-        "rayleigh_profile": _class_name(getattr(air, "profile", None)),
-        "ozone_profile": _class_name(getattr(ozone, "profile", None)),
-    }
-
-
-def constants_of(model) -> dict[str, object]:
-    """The leaves that no parameter names, by their place, such as "atmosphere.ozone.profile.height"."""
-    _, rest = partition(model, tuple(names_of(model)))
-    leaves, _ = jax.tree_util.tree_flatten_with_path(rest)
-    return {place_of(path): np.asarray(leaf).tolist() for path, leaf in leaves}
-
-
-def place_of(path) -> str:
-    return jax.tree_util.keystr(path, simple=True, separator=".")
 
 
 # numbers of `gain` that a file holds

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from ...atmosphere import AbstractConstituent, Atmosphere
 from ...scene import Scene
-from ..columns import slant_column, sunlit, TOP_OF_AIR
+from ..columns import slant_columns, sunlit, TOP_OF_AIR
 from ..contract import Geometry
 from ..optics import optics, scatterer_indices
 
@@ -91,8 +91,7 @@ class Layers(NamedTuple):
     beam: Float[Array, "level wavelength"]
     beam_depth: Float[Array, "layer wavelength"]
     moments: Float[Array, "moment layer wavelength"]
-    sun_cosine: Float[Array, ""]
-    sun_sine: Float[Array, ""]
+    sun_zenith: Float[Array, ""]
     ground_albedo: Float[Array, " wavelength"]
     matrix: Float[Array, "element moment layer wavelength"] | None
 
@@ -136,8 +135,11 @@ def level_heights(constituents: tuple[AbstractConstituent, ...], levels: int) ->
     height = jnp.asarray(table, jnp.result_type(float))
     share = jnp.mean(jnp.stack([p.above(height) for p in scatterers]), axis=0)
     share = (share - share[-1]) / (share[0] - share[-1])
-    target = jnp.arange(levels + 1) / levels
-    return jnp.interp(target.astype(height.dtype), share[::-1], height[::-1])
+    target = jnp.asarray(np.arange(levels + 1) / levels, height.dtype)[:, None]
+    # each step of the table counts as far as the share above has not yet fallen to the target within it
+    fall = share[:-1] - share[1:]
+    climbed = (share[None, :-1] - target) / jnp.where(fall > 0.0, fall, 1.0)[None]
+    return jnp.clip(climbed, 0.0, 1.0) @ jnp.diff(height)
 
 
 def layered(
@@ -151,15 +153,15 @@ def layered(
     scaled = scaled_optics(constituents, wavelength_nm, resolution)
     height = level_heights(constituents, resolution.levels)
     # what little lies above the top level belongs to the first layer
-    above = jnp.stack([c.profile.above(height) for c in constituents]).at[:, 0].set(0.0)
-    share = jnp.diff(above, axis=1)
+    above = jnp.stack([c.profile.above(height[1:]) for c in constituents])
+    share = jnp.diff(jnp.pad(above, ((0, 0), (1, 0))), axis=1)
     depth = share.T @ scaled.extinction
     scattered = jnp.stack([share[i] for i in scatterer_indices(constituents)])[:, :, None] * scaled.scattering[:, None]
     fraction = scattered / jnp.where(depth > 0.0, depth, 1.0)[None]
     sun_cosine = jnp.cos(scene.sun_zenith)
     cosine = sun_cosine + jnp.zeros_like(height)
-    slant = jnp.stack([slant_column(c.profile, height, cosine, geometry) for c in constituents])
-    slant = slant.at[:, 0].set(jnp.where(sun_cosine >= 0.0, 0.0, slant[:, 0]))
+    slant = slant_columns([c.profile for c in constituents], height, cosine, geometry)
+    slant = jnp.where((np.arange(height.shape[0]) == 0)[None] & (sun_cosine >= 0.0), 0.0, slant)
     sun_depth = slant.T @ scaled.extinction
     lit = sunlit(height, cosine, geometry)
     return Layers(
@@ -168,8 +170,7 @@ def layered(
         jnp.where(lit[:, None], jnp.exp(-sun_depth), 0.0),
         jnp.maximum(jnp.diff(sun_depth, axis=0), 0.0),
         jnp.einsum("skw,lsw->lkw", fraction, scaled.moments),
-        sun_cosine,
-        jnp.sin(scene.sun_zenith),
+        scene.sun_zenith,
         atmosphere.ground.reflectance(wavelength_nm),
         None if scaled.matrix is None else jnp.einsum("skw,elsw->elkw", fraction, scaled.matrix),
     )

@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...atmosphere import Atmosphere
-from ...numerics import phi_functions
+from ...numerics import legendre_series, of_angle, phi_functions
 from ...scene import above_horizon, Scene
 from ..columns import layer_airmass
 from .layering import Resolution
-from .polarisation import plain_place, sources_of_stokes
-from .streams import degree_index, diffuse_field, harmonics
+from .polarisation import sources_of_stokes
+from .streams import degree_index, diffuse_field
 from .sweep import sloped
 
 
@@ -31,15 +31,21 @@ def multiple_scattering(
     view = scene.view
     degree = degree_index(count, modes)
     moments = layers.moments[degree] * field.moments
-    if field.polarised is not None:
-        added = field.polarised.radiance
-        moments = moments.at[plain_place(*added.shape[:2])].add(added)
     cosine = jnp.maximum(jnp.cos(view.zenith), 0.0)
     turn = jnp.arange(modes)[:, None] * (view.azimuth - scene.sun_azimuth)[None]
-    basis = harmonics(cosine, jnp.sin(view.zenith), count, modes) * jnp.cos(turn)[None, None]
     # harmonics of a degree below the mode are zero
     some = np.nonzero(degree >= np.arange(modes))
-    sources = [jnp.einsum("hd,hkw->kdw", basis[some], moments[some])]
+    every = moments[some]
+    if field.polarised is not None:
+        added = field.polarised.radiance
+        # polarisation has fewer degrees and modes
+        place = np.stack([degree[some], some[2]])
+        inside = np.all(place < np.array(added.shape[:2])[:, None], axis=0)
+        extra = added[tuple(np.where(inside[None], place, 0))]
+        every = every + jnp.where(inside[:, None, None], extra, 0.0)
+    series = legendre_series(modes, count)[degree[some], some[2]]
+    basis = of_angle(series, view.zenith) * jnp.cos(turn)[some[2]]
+    sources = [jnp.einsum("hd,hkw->kdw", basis, every)]
     if stokes and field.polarised is not None:
         sources += [*sources_of_stokes(field.polarised, scene)]
     airmass = layer_airmass(layers.height, cosine, resolution.geometry)

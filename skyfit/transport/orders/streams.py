@@ -1,5 +1,6 @@
 """Diffuse light on discrete streams: the sum over all orders of scattering."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -8,9 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...atmosphere import Atmosphere
-from ...numerics import associated_legendre, gauss_legendre
+from ...numerics import gauss_legendre, legendre_series, of_angle
 from ...scene import Scene
-from .diffusion import diffusion
+from .diffusion import diffusion, first_of, Spread
 from .layering import layered, Layers, Resolution
 from .polarisation import polarise, Polarised
 from .sweep import sweeps_through
@@ -34,71 +35,65 @@ def degree_index(count: int, modes: int) -> np.ndarray:
     return 2 * half + (mode + np.arange(2)[:, None, None]) % 2
 
 
-def harmonics(cosine, sine, count: int, modes: int) -> Float[Array, "parity half mode *shape"]:
+def harmonics(zenith, count: int, modes: int) -> Float[Array | np.ndarray, "parity half mode *shape"]:
     """Associated Legendre functions in the layout of `degree_index`."""
-    every = associated_legendre(cosine, sine, modes, count)
-    return every[degree_index(count, modes), np.arange(modes)[None, None]]
+    return of_angle(legendre_series(modes, count)[degree_index(count, modes), np.arange(modes)], zenith)
 
 
-def solve(layers: Layers, resolution: Resolution, modes: int) -> Field:
-    """The diffuse field: sweeps, each followed by the diffusion of what it left over.
+def solve(layers: Layers, diffuse: Callable | None, resolution: Resolution, modes: int) -> Field:
+    """The diffuse field: sweeps, each followed by the diffusion of what it left over (`diffuse`, None: by nothing).
 
     **Source:** successive orders as in Lenoble et al. 2007, JQSRT 107, 479; sources by conservative means over
     the layers; diffusion synthetic acceleration: Alcouffe 1977, Nucl. Sci. Eng. 64, 344.
     """
     cosine, weight = gauss_legendre(resolution.streams)
     dtype, count = layers.depth.dtype, layers.moments.shape[0]
-    mu = jnp.asarray(cosine, dtype)
-    from_moment = harmonics(mu, jnp.asarray(np.sqrt(1.0 - cosine**2), dtype), count, modes)
-    to_moment = jnp.asarray(0.5 * weight, dtype)[None, None, None] * from_moment
+    on_nodes = harmonics(np.arccos(cosine), count, modes)
+    from_moment, to_moment = jnp.asarray(on_nodes, dtype), jnp.asarray(0.5 * weight * on_nodes, dtype)
     phase = layers.moments[degree_index(count, modes)]
     flux_weight = jnp.asarray(2.0 * np.pi * weight * cosine, dtype)
     mode_weight = jnp.asarray(np.where(np.arange(modes) == 0, 1.0, 2.0) / (4.0 * np.pi), dtype)
 
-    sweeps = sweeps_through(layers.height, layers.depth, mu, resolution.geometry)
+    sweeps = sweeps_through(layers.height, layers.depth, jnp.asarray(cosine, dtype), resolution.geometry)
     shine_top, shine = sweeps.shine()
 
-    def sweep(last, mean, beam_flux):
+    def sweep(emission, beam_flux):
         """Moments of the mean radiance, flux onto the ground and out of the top, for one source."""
+        last, down, up = sweeps.run(emission)
         flux = jnp.einsum("n,nw->w", flux_weight, last[0, 0])
         reflected = layers.ground_albedo * (flux + beam_flux)
         top = jnp.einsum("n,nw->w", flux_weight, last[1, 0] + reflected[None] * shine_top)
-        mean = mean.at[1, :, 0].add(reflected[None, None] * shine)
-        both = jnp.stack([mean[0] + mean[1], mean[0] - mean[1]])
+        up = up + first_of(shine * reflected[None, None, None], up.shape)
+        both = jnp.stack([down + up, down - up])
         return jnp.einsum("phmn,pkmnw->phmkw", to_moment, both), flux, top
 
     def on_streams(moments):
         even, odd = jnp.einsum("phmn,phmkw->pkmnw", from_moment, moments)
         return jnp.stack([even + odd, even - odd])
 
-    # the beam, exponential within each layer
-    sun = harmonics(layers.sun_cosine, layers.sun_sine, count, modes) * mode_weight[None, None]
-    once = on_streams(sun[..., None, None] * phase) * layers.beam[None, :-1, None, None]
-    total = sweep(*sweeps.of_beam(once, layers.beam_depth), jnp.maximum(layers.sun_cosine, 0.0) * layers.beam[-1])
-    diffuse = None
-    if resolution.complete:
-        diffuse = diffusion(layers.depth, layers.moments[0], layers.moments[1] / 3.0, layers.ground_albedo)
+    def added(moments, pair):
+        """The moments with the mean radiance and the vertical flux of some diffuse light added."""
+        return moments + first_of(pair[:, None, None], moments.shape)
 
     def order(carry, _):
-        left, total = carry
-        even, odd = left[0, 0, 0], left[1, 0, 0]
-        even, odd = (0.0 * even, 0.0 * odd) if diffuse is None else diffuse(even, odd)[:2]
-        source = on_streams(phase * _added(left, even, odd))
-        scattered = sweep(*sweeps.of_source(source), jnp.zeros_like(layers.beam[-1]))
-        return (_added(scattered[0], -even, -odd), jax.tree.map(jnp.add, total, scattered)), None
+        emission, beam_flux, total, spread = carry
+        found = sweep(emission, beam_flux)
+        total = jax.tree.map(jnp.add, total, found)
+        left = added(found[0], -spread.moments)
+        if diffuse is not None:
+            spread = diffuse(*left[:, 0, 0])
+        source = on_streams(phase * added(left, spread.moments))
+        return (sweeps.of_source(source), jnp.zeros_like(beam_flux), total, spread), None
 
-    left = total[0]
-    if resolution.orders > 1:
-        (left, total), _ = jax.lax.scan(order, (left, total), None, length=resolution.orders - 1)
-    if diffuse is None:
-        return Field(total[0], total[1], total[2])
-    even, odd, more_flux, more_top = diffuse(left[0, 0, 0], left[1, 0, 0])
-    return Field(_added(total[0], even, odd), total[1] + more_flux, total[2] + more_top)
-
-
-def _added(moments, even, odd):
-    """The moments with the mean radiance and the vertical flux of some diffuse light added."""
-    return moments.at[0, 0, 0].add(even).at[1, 0, 0].add(odd)
+    # the beam, exponential within each layer
+    sun = harmonics(layers.sun_zenith, count, modes) * mode_weight[None, None]
+    once = on_streams(sun[..., None, None] * phase) * layers.beam[None, :-1, None, None]
+    beam_flux = jnp.maximum(jnp.cos(layers.sun_zenith), 0.0) * layers.beam[-1]
+    dark = jnp.zeros_like(beam_flux)
+    nothing = Spread(jnp.zeros_like(phase[:, 0, 0]), dark, dark)
+    start = sweeps.of_beam(once, layers.beam_depth), beam_flux, (jnp.zeros_like(phase), dark, dark), nothing
+    (_, _, total, spread), _ = jax.lax.scan(order, start, None, length=resolution.orders)
+    return Field(added(total[0], spread.moments), total[1] + spread.ground_flux, total[2] + spread.top_flux)
 
 
 def diffuse_field(
@@ -111,9 +106,12 @@ def diffuse_field(
     """The layers and the light in them."""
     layers = layered(atmosphere, scene, wavelength_nm, resolution)
     _, modes = resolution.for_phases(atmosphere.constituents)
-    field = solve(layers, resolution, modes)
+    diffuse = None
+    if resolution.complete:
+        diffuse = diffusion(layers.depth, layers.moments[0], layers.moments[1] / 3.0, layers.ground_albedo)
+    field = solve(layers, diffuse, resolution, modes)
     if not resolution.polarised:
         return layers, field
-    polar = polarise(layers, field.moments, resolution, modes, stokes)
+    polar = polarise(layers, field.moments, diffuse, resolution, modes, stokes)
     ground, top = field.ground_flux + polar.ground_flux, field.top_flux + polar.top_flux
     return layers, Field(field.moments, ground, top, polar)

@@ -37,7 +37,7 @@ class Sweeps(NamedTuple):
     enters it, of its source and of the source's step along the way. `turns` interpolates to other local angles.
     """
 
-    slant: Float[Array, "direction layer stream wavelength"]
+    slant: Float[Array, "layer direction stream wavelength"]
     thickness: Float[Array, "layer direction mode stream wavelength"]
     turns: Float[Array, "layer direction stream stream"] | None
     through: Float[Array, "layer pair direction stream wavelength"]
@@ -45,37 +45,40 @@ class Sweeps(NamedTuple):
     leans: Float[Array, "layer pair direction stream wavelength"]
 
     def of_source(self, source):
-        """Radiance that leaves the last layer, and its mean in each layer from the top."""
+        """What a source adds to the light that leaves each layer and to its mean there, for `run`."""
         met = _as_met(source)
-        return self._run(jnp.zeros_like(met[0]), self.emits, met, sloped(met, self.thickness))
+        step = sloped(met, self.thickness)
+        return self.emits[:, :, :, None] * met[:, None] + self.leans[:, :, :, None] * step[:, None]
 
     def of_beam(self, source, beam_depth: Float[Array, "layer wavelength"]):
         """As `of_source`, of a source that falls exponentially by `beam_depth` from its value at each layer's top."""
-        beam = beam_depth[:, None] + jnp.zeros_like(self.slant[0])
-        mean = jnp.stack([exp_mean(beam, self.slant[0]), phi1(beam + self.slant[1])])
-        met = _as_met(source)
-        weights = _pair_as_met(self.slant * mean, phi1(beam)[None] - mean)
-        return self._run(jnp.zeros_like(met[0]), weights, met, None)
+        beam = _both_as_met(beam_depth)[:, :, None]
+        down, up = self.slant[:, 0], self.slant[:, 1]
+        mean = jnp.stack([exp_mean(beam[:, 0] + jnp.zeros_like(down), down), phi1(beam[:, 1] + up)], axis=1)
+        weights = jnp.stack([self.slant * mean, phi1(beam) - mean], axis=1)
+        return weights[:, :, :, None] * _as_met(source)[:, None]
+
+    def run(self, emission):
+        """Radiance that leaves the last layer, and its mean in each layer from the top."""
+        last, mean = self._run(jnp.zeros_like(emission[0, 0]), emission)
+        return last, mean[:, 0], mean[::-1, 1]
 
     def shine(self):
         """What leaves the top, and the mean upward radiance, of a ground that reflects a unit of flux."""
-        _, layers, streams, wavelengths = self.slant.shape
-        nothing = jnp.zeros((layers, 2, 1, streams, wavelengths), self.slant.dtype)
-        top, mean = self._run(nothing[0].at[1].set(1.0 / np.pi), self.emits, nothing, None)
-        return top[1, 0], mean[1, :, 0]
+        start = jnp.asarray(np.array([0.0, 1.0 / np.pi])[:, None, None, None], self.slant.dtype)
+        last, mean = self._run(start + jnp.zeros_like(self.slant[0, :, None]), None)
+        return last[1, 0], mean[::-1, 1]
 
-    def _run(self, start, weights, source, rise):
+    def _run(self, start, emission):
         def step(radiance, layer):
-            pass_on, turn, weight, lean, level, change = layer
+            through, turn, emitted = layer
             if turn is not None:
                 radiance = jnp.einsum("dij,dmjw->dmiw", turn, radiance)
-            leaves, mean = weight[:, :, None] * level[None] + pass_on[:, :, None] * radiance[None]
-            if change is not None:
-                leaves, mean = leaves + lean[0, :, None] * change, mean + lean[1, :, None] * change
-            return leaves, mean
+            both = through[:, :, None] * radiance[None]
+            both = both if emitted is None else both + emitted
+            return both[0], both[1]
 
-        last, mean = jax.lax.scan(step, start, (self.through, self.turns, weights, self.leans, source, rise))
-        return last, _from_top(mean)
+        return jax.lax.scan(step, start, (self.through, self.turns, emission))
 
 
 def sweeps_through(
@@ -86,29 +89,26 @@ def sweeps_through(
 ) -> Sweeps:
     """The sweeps of some streams, `cosine` increasing, through layers from top to ground."""
     paths = stream_paths(height, cosine, geometry)
-    slant = jnp.stack([p.airmass for p in paths])[..., None] * depth[None, :, None]
+    thickness = _both_as_met(depth)
+    slant = _as_met([p.airmass for p in paths])[..., None] * thickness[:, :, None]
     first, second = phi_functions(slant)
     lean = 0.5 * first - second
     bends = [path.turn for path in paths if path.turn is not None]
     return Sweeps(
         slant,
-        _as_met(jnp.stack([depth, depth]))[:, :, None, None],
-        _as_met(jnp.stack(bends)) if bends else None,
-        _pair_as_met(jnp.exp(-slant), first),
-        _pair_as_met(slant * first, slant * second),
-        _pair_as_met(-slant * lean, lean),
+        thickness[:, :, None, None],
+        _as_met(bends) if bends else None,
+        jnp.stack([jnp.exp(-slant), first], axis=1),
+        jnp.stack([slant * first, slant * second], axis=1),
+        jnp.stack([-slant * lean, lean], axis=1),
     )
 
 
 def _as_met(array):
     """`[direction, layer from the top, ...]` to `[layer in the order met, direction, ...]`."""
-    return jnp.stack([array[0], array[1, ::-1]], axis=1)
+    return jnp.stack([array[0], array[1][::-1]], axis=1)
 
 
-def _pair_as_met(one, other):
-    return jnp.stack([_as_met(one), _as_met(other)], axis=1)
-
-
-def _from_top(array):
-    """The inverse of `_as_met`."""
-    return jnp.stack([array[:, 0], array[::-1, 1]])
+def _both_as_met(array):
+    """As `_as_met`, of what is the same both ways."""
+    return _as_met([array, array])

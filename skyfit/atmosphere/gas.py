@@ -1,0 +1,131 @@
+"""Gases that absorb and do not scatter."""
+
+from abc import abstractmethod
+from typing import ClassVar, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..numerics import as_float, hat_weights
+from ..tables import read_table
+from .constituent import AbstractConstituent
+from .profile import AbstractProfile, OzoneLayer
+
+
+# Dobson units in one metre at 0 C and 1013.25 mb: one is 10 micrometres
+DOBSON_PER_METRE = 1e5
+# Loschmidt's number, CODATA 2018: 2.686780111e25 molecules m^-3 at 0 C and 1013.25 mb, times 10 micrometres, in cm^-2
+MOLECULES_PER_DOBSON = 2.686780111e16
+# metres in a centimetre
+_M_PER_CM = 0.01
+
+
+class AbstractGas(AbstractConstituent):
+    r"""A gas by Bouguer's law, $\tau(\lambda) = k(\lambda)\, u$, with the column u in its `unit`."""
+
+    column: eqx.AbstractVar[Float[Array, ""]]
+    unit: eqx.AbstractVar[str]
+
+    @abstractmethod
+    def absorption(self, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
+        """The vertical optical depth of one unit of the column."""
+
+    def extinction(self, wavelength_nm):
+        return self.absorption(wavelength_nm) * self.column
+
+    def albedo(self, wavelength_nm):
+        return jnp.zeros_like(wavelength_nm)
+
+
+class Gas(AbstractGas):
+    """A gas by a table of its absorption, linear in between.
+
+    `column` in `unit`, >= 0; `table_wavelength_nm` `[band]`, increasing; `absorption_per_unit` `[band]`, the vertical
+    optical depth of one unit of the column, >= 0; `profile`; `unit`, Dobson units ("DU") if nothing is said.
+
+    **Valid:** beyond the table the end values hold: let it end where the gas does not absorb.
+    """
+
+    column: Float[Array, ""] = eqx.field(converter=as_float)
+    table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float)
+    absorption_per_unit: Float[Array, " band"] = eqx.field(converter=as_float)
+    profile: AbstractProfile
+    unit: str = eqx.field(static=True, default="DU")
+    phase: ClassVar[None] = None
+    smooth_in_wavelength: ClassVar[bool] = True
+
+    def __check_init__(self):
+        if self.table_wavelength_nm.shape != self.absorption_per_unit.shape:
+            raise ValueError(
+                "`absorption_per_unit` must be given at `table_wavelength_nm`, "
+                f"got {self.absorption_per_unit.shape} for {self.table_wavelength_nm.shape}"
+            )
+
+    @classmethod
+    def from_cross_section(cls, column, table_wavelength_nm, cross_section, profile: AbstractProfile) -> "Gas":
+        """A gas by the cross section of its molecules, as spectroscopists tabulate it.
+
+        **Arguments:** `column` in Dobson units (2.687e16 molecules cm^-2); `cross_section` `[band]`, cm^2 a molecule,
+        at `table_wavelength_nm` `[band]`; `profile`. **Returns:** a `Gas` with `unit` "DU".
+        """
+        per_dobson = np.asarray(cross_section, np.float64) * MOLECULES_PER_DOBSON
+        return cls(
+            column=as_float(column),
+            table_wavelength_nm=as_float(table_wavelength_nm),
+            absorption_per_unit=as_float(per_dobson),
+            profile=profile,
+        )
+
+    def absorption(self, wavelength_nm):
+        return hat_weights(wavelength_nm, self.table_wavelength_nm) @ self.absorption_per_unit
+
+
+class Ozone(AbstractGas):
+    """Ozone: Chappuis and Huggins absorption.
+
+    `column` in Dobson units, >= 0; `profile`; `table` "spectrl2" (default) or "preetham". The coefficient is
+    interpolated in a 5-10 nm table, so the fine structure of the Huggins bands below 340 nm is smoothed.
+
+    **Source:** Bird & Riordan 1986 (Leckner 1978), as shipped by pvlib; see data/spectrl2_absorption.csv. "preetham":
+    Preetham 1999, Table 2, from 380 to 780 nm, where a gap is no absorption; it too is Leckner's and has the rows of
+    580 to 680 nm that Bird & Riordan leave out, up to 5 % more; beyond, those of Bird & Riordan.
+    """
+
+    column: Float[Array, ""] = eqx.field(converter=as_float, default=300.0)
+    profile: AbstractProfile = eqx.field(default_factory=OzoneLayer)
+    table: Literal["spectrl2", "preetham"] = eqx.field(static=True, default="spectrl2")
+    unit: ClassVar[str] = "DU"
+    phase: ClassVar[None] = None
+    smooth_in_wavelength: ClassVar[bool] = True
+
+    def __check_init__(self):
+        if self.table not in ("spectrl2", "preetham"):
+            raise ValueError(f'`table` must be "spectrl2" or "preetham", got {self.table!r}')
+
+    def absorption(self, wavelength_nm):
+        if self.table == "preetham":
+            nm, per_metre = preetham_absorption("ozone_absorption")
+            per_dobson = per_metre / DOBSON_PER_METRE
+        else:
+            shipped = read_table("spectrl2_absorption.csv")
+            nm, per_dobson = shipped["wavelength_nm"], shipped["ozone_absorption"] / (_M_PER_CM * DOBSON_PER_METRE)
+        return hat_weights(wavelength_nm, as_float(nm)) @ as_float(per_dobson)
+
+
+def preetham_absorption(name: str) -> tuple[Float[np.ndarray, " band"], Float[np.ndarray, " band"]]:
+    """Leckner's coefficients as Preetham prints them from 380 to 780 nm, and as SPECTRL2 has them beyond.
+
+    **Arguments:** `name`, "ozone_absorption" or "water_absorption", per metre, or "mixed_gas_absorption".
+    **Returns:** wavelengths in nm and the coefficients there; a gap in the paper is no absorption.
+    **Source:** Preetham 1999, Table 2; Bird & Riordan 1986, Table 1, which has the first two per cm.
+    """
+    paper, beyond = read_table("preetham_table2_spectra.csv"), read_table("spectrl2_absorption.csv")
+    inside = paper["wavelength_nm"]
+    outside = (beyond["wavelength_nm"] < inside[0]) | (beyond["wavelength_nm"] > inside[-1])
+    nm = np.concatenate([inside, beyond["wavelength_nm"][outside]])
+    unit = 1.0 if name == "mixed_gas_absorption" else 1.0 / _M_PER_CM
+    coefficient = np.concatenate([np.nan_to_num(paper[name]), unit * beyond[name][outside]])
+    order = np.argsort(nm)
+    return nm[order], coefficient[order]

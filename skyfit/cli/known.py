@@ -1,0 +1,18 @@
+"""What the help says of the floors beneath without loading them; tests hold it against what they have themselves."""
+
+SOLVER_NAMES = ("orders", "double", "single", "shells", "uniform")
+PARAMETER_NAMES = (
+    "turbidity", "aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo",
+    "single_scattering_albedo_slope", "asymmetry", "asymmetry_second", "forward_fraction", "forward_fraction_slope",
+    "haze_polarisation", "fine_fraction", "fine_radius", "coarse_radius", "fine_width", "coarse_width",
+    "refractive_index", "absorption_index", "aerosol_scale_height", "ozone", "ground_albedo", "ground_albedo_slope",
+    "ground_red_edge", "pressure", "pointing_zenith", "pointing_azimuth",
+)  # fmt: skip
+DEFAULT_FREE = (
+    "aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo", "asymmetry",
+    "asymmetry_second", "forward_fraction", "forward_fraction_slope", "ground_albedo", "pointing_zenith",
+    "pointing_azimuth",
+)  # fmt: skip
+# of `Measurement`, in sigma
+THRESHOLD = 3.0
+SEA_LEVEL_PRESSURE = 101325.0  # Pa

@@ -1,0 +1,102 @@
+"""Solvers, atmospheres and spectra from the words of options."""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..atmosphere import (
+    AbstractPhase,
+    Aerosol,
+    Atmosphere,
+    Exponential,
+    Ground,
+    meteorological_range as meteorological_range_of,
+    optical_depth_to_turbidity,
+    Ozone,
+    Rayleigh,
+    turbidity_from_range,
+)
+from ..transport import AbstractSolver, OrdersOfScattering, SOLVERS
+from .options import GeometryName, in_range, PresetName
+
+
+def make_solver(name: str, preset: PresetName, geometry: GeometryName, polarised: bool = False) -> AbstractSolver:
+    """The solver of some words; only `orders` may be polarised."""
+    if name not in SOLVERS:
+        raise ValueError(f"`--solver` must be one of {', '.join(SOLVERS)}, got {name!r}")
+    if polarised and name != "orders":
+        raise ValueError(f"`--polarised` must be left out with `--solver {name}`: only orders knows polarisation")
+    settings = {"polarised": True} if polarised else {}
+    return getattr(SOLVERS[name], preset.value)(geometry.value, **settings)
+
+
+def make_atmosphere(
+    phase: AbstractPhase,
+    angstrom_exponent: float,
+    single_scattering_albedo: float,
+    haze_height: float,
+    ground_albedo: float,
+    ozone: float,
+    pressure: float,
+) -> Callable:
+    """An `Atmosphere` by the haze's optical depth at 550 nm, which may be traced; checks what the user gave."""
+    haze = {
+        "angstrom_exponent": in_range("--angstrom-exponent", angstrom_exponent, -1.0, 4.0),
+        "single_scattering_albedo": in_range("--single-scattering-albedo", single_scattering_albedo, 0.0, 1.0),
+        "profile": Exponential(in_range("--haze-height", haze_height, 50.0, 20000.0)),
+        "phase": phase,
+    }
+    gas = Ozone(column=in_range("--ozone", ozone, 0.0, 1000.0))
+    ground = Ground(albedo=in_range("--ground-albedo", ground_albedo, 0.0, 1.0))
+    air = Rayleigh(pressure=in_range("--pressure", pressure, 0.0, 2e6))
+    return lambda depth: Atmosphere(rayleigh=air, aerosol=Aerosol(depth, **haze), ozone=gas, ground=ground)
+
+
+def in_words(solver: AbstractSolver) -> str:
+    """Which solver it is, of what light."""
+    name = type(solver).__name__
+    if not isinstance(solver, OrdersOfScattering):
+        return f"{name}, {solver.geometry}, scalar (polarisation left out)"
+    kind = "polarised" if solver.polarised else "scalar (polarisation left out)"
+    return f"{name}, {solver.geometry}, {solver.streams} streams, {kind}"
+
+
+def precision() -> str:
+    """The float type that JAX computes in."""
+    return str(jnp.result_type(float))
+
+
+def wavelengths_of(text: str) -> np.ndarray:
+    """Wavelengths from "first:last:step" or a list with commas, nm."""
+    try:
+        parts = np.array([float(part) for part in text.split(":" if ":" in text else ",")])
+    except ValueError:
+        parts = np.array([np.nan])
+    if not np.all(np.isfinite(parts)):
+        raise ValueError(f"`--wavelengths` must be first:last:step or a list in nm, got {text!r}")
+    if ":" not in text:
+        if np.any(np.diff(parts) <= 0.0):
+            raise ValueError(f"`--wavelengths` must increase, got {text!r}")
+        return parts
+    if parts.size != 3 or parts[2] <= 0.0 or not 0.0 <= parts[1] - parts[0] <= 1e4 * parts[2]:
+        raise ValueError(f"`--wavelengths` must be first:last:step in nm, 10000 steps at most, got {text!r}")
+    return np.arange(parts[0], parts[1] + 0.5 * parts[2], parts[2])
+
+
+def turbidity_of(
+    turbidity: float | None, optical_depth: float | None, range_km: float | None, haze_height: float
+) -> float:
+    """Preetham's turbidity from the one of its measures that was given."""
+    if sum(value is not None for value in (turbidity, optical_depth, range_km)) != 1:
+        raise ValueError(
+            "exactly one of `--turbidity`, `--aerosol-optical-depth` and `--meteorological-range` must be given"
+        )
+    if turbidity is not None:
+        return in_range("--turbidity", turbidity, 1.0, 50.0)
+    if optical_depth is not None:
+        return float(optical_depth_to_turbidity(in_range("--aerosol-optical-depth", optical_depth, 0.0, 5.0)))
+    assert range_km is not None
+    clearest = float(meteorological_range_of(1.0)) / 1e3
+    metres = 1e3 * in_range("--meteorological-range", range_km, 1.0, clearest)
+    return float(turbidity_from_range(metres, haze_height))
