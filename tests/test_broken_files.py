@@ -4,6 +4,7 @@ import csv
 import os
 import re
 
+import h5netcdf
 import numpy as np
 import pytest
 import xarray
@@ -302,7 +303,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path, monke
         raise RuntimeError("interrupted")
 
     with monkeypatch.context() as patch:
-        patch.setattr(xarray.Dataset, "to_netcdf", fail)
+        patch.setattr(h5netcdf, "File", fail)
         with pytest.raises(RuntimeError, match="interrupted"):
             write_sky(make_sky(), tmp_path / "sky.nc")
     with pytest.raises(KeyboardInterrupt), atomic(tmp_path / "new.txt") as part:

@@ -7,9 +7,8 @@ from importlib import metadata
 from pathlib import Path
 from uuid import uuid4
 
-from .readers.netcdf import write_netcdf
-from .readers.tidy import write_tidy
 from .samples import Sky
+from .writers import write_netcdf, write_tidy
 
 
 _WRITERS = {".nc": write_netcdf, ".csv": write_tidy}

@@ -10,11 +10,8 @@ from ..units import IRRADIANCE, irradiance_factor, is_nanometre, is_radian, RADI
 from .screening import assemble, Contents
 
 
-_AXES = ("time", "direction", "wavelength")
-_PLACES = ("view_zenith", "view_azimuth")
-_BEAM = "direct_normal_irradiance"
-# NumPy's and xarray's whole number for a time that is not known
-_NO_TIME = np.iinfo(np.int64).min
+AXES = ("time", "direction", "wavelength")
+BEAM = "direct_normal_irradiance"
 _STATION = {
     "latitude": ("latitude",),
     "longitude": ("longitude",),
@@ -153,7 +150,7 @@ def _response(name, data):
 
 def _radiance(name, data, response):
     radiance = data["radiance"]
-    extra = [axis for axis in radiance.dims if axis not in _AXES]
+    extra = [axis for axis in radiance.dims if axis not in AXES]
     if extra or "direction" not in radiance.dims or "wavelength" not in radiance.dims:
         raise ValueError(
             f"{name}: variable `radiance`: expected dimensions time, direction, wavelength, "
@@ -166,19 +163,19 @@ def _radiance(name, data, response):
     notes = [] if factor == 1.0 else [f"radiance converted from {units} to {RADIANCE}"]
     if "time" not in radiance.dims:
         radiance = radiance.expand_dims("time")
-    return radiance.transpose(*_AXES), factor, notes
+    return radiance.transpose(*AXES), factor, notes
 
 
 def _beam(name, data, radiance):
     """Direct normal irradiance and its sigma, [time, wavelength], and what was converted; None where absent."""
-    if _BEAM not in data:
+    if BEAM not in data:
         return None, None, []
     across = radiance.isel(direction=0)
-    units = data[_BEAM].attrs.get("units")
-    factor = _factor(name, _BEAM, units, IRRADIANCE)
+    units = data[BEAM].attrs.get("units")
+    factor = _factor(name, BEAM, units, IRRADIANCE)
     notes = [] if factor == 1.0 else [f"direct normal irradiance converted from {units} to {IRRADIANCE}"]
-    direct = factor * _spread(name, data, _BEAM, across.dims, across)
-    key = f"{_BEAM}_sigma"
+    direct = factor * _spread(name, data, BEAM, across.dims, across)
+    key = f"{BEAM}_sigma"
     if key not in data:
         return direct, None, notes
     units = data[key].attrs.get("units")
@@ -340,100 +337,3 @@ def _saturation(name, data, factor):
 def _own_notes(data):
     text = data.attrs.get("notes")
     return text.splitlines() if isinstance(text, str) else []
-
-
-def write_netcdf(sky: Sky, path: Path) -> None:
-    """Write `sky` as NetCDF 4 in the layout that `read_netcdf` reads.
-
-    **Arguments** `path`: the file; written in place, see `writing.atomic`.
-    """
-    # xarray would bring pandas along, longer than all the rest of the writing
-    import h5netcdf
-
-    whole = axes(sky)
-    of_sun = whole[::2][: sky.sun_zenith.ndim]
-    views = [degrees(view[0] if sky.one_pattern else view) for view in (sky.view_zenith, sky.view_azimuth)]
-    of_views = whole[:2][-views[0].ndim :]
-    clockwise = {"units": "degree", "comment": "clockwise from north"}
-    light = (
-        {"units": RADIANCE, "long_name": "spectral radiance"}
-        if sky.response is None
-        else {"long_name": "reading of the channel, the sum of response times spectral radiance"}
-    )
-    variables = {
-        "wavelength": (whole[2:], sky.wavelength_nm, {"units": "nm"}),
-        "view_zenith": (of_views, views[0], {"units": "degree"}),
-        "view_azimuth": (of_views, views[1], clockwise),
-        "time": (("time",), *_moments(sky.time)),
-        "radiance": (whole, sky.radiance, light),
-        "suspect": (whole, (~sky.usable).astype(np.int8), {"long_name": "1 where masked"}),
-        "sun_zenith": (of_sun, degrees(sky.sun_zenith), {"units": "degree"}),
-        "sun_azimuth": (of_sun, degrees(sky.sun_azimuth), {"units": "degree"}),
-    }
-    if sky.sigma is not None:
-        variables["sigma"] = (whole, sky.sigma, light | {"long_name": "standard deviation of radiance"})
-    if sky.direct_irradiance is not None:
-        about = {"units": IRRADIANCE, "long_name": "irradiance of the sun's beam on a plane normal to it"}
-        variables[_BEAM] = (whole[::2], sky.direct_irradiance, about)
-    if sky.direct_sigma is not None:
-        about = {"units": IRRADIANCE, "long_name": f"standard deviation of {_BEAM}"}
-        variables[f"{_BEAM}_sigma"] = (whole[::2], sky.direct_sigma, about)
-    dimensions = dict(zip(whole, sky.radiance.shape, strict=True))
-    if sky.response is not None:
-        about = {"long_name": f"weights of spectral radiance in {RADIANCE}, widths of the spectrum's steps included"}
-        variables["response"] = (("channel", "spectrum"), sky.response.weight, about)
-        variables["spectrum"] = (("spectrum",), sky.response.wavelength_nm, {"units": "nm"})
-        variables["channel"] = (("channel",), np.array(sky.response.names, object), {})
-        dimensions["spectrum"] = len(sky.response.wavelength_nm)
-    with h5netcdf.File(path, "w") as file:
-        file.dimensions = dimensions
-        for name, variable in variables.items():
-            _put(file, name, *variable, packed=variable[0] == whole)
-        file.attrs.update(attributes(sky))
-        if sky.notes:
-            file.attrs["notes"] = "\n".join(sky.notes)
-
-
-def _put(file, name: str, axes: tuple[str, ...], values: np.ndarray, about: dict, packed: bool) -> None:
-    """One variable; a field over all axes is compressed and says where its directions stand."""
-    import h5py
-
-    missing = np.nan if values.dtype.kind == "f" else None
-    packing = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if packed else {}
-    kind = h5py.string_dtype() if values.dtype.kind == "O" else values.dtype
-    variable = file.create_variable(name, axes, kind, values, fillvalue=missing, **packing)
-    variable.attrs.update(about)
-    if "direction" in axes and name not in _PLACES:
-        variable.attrs["coordinates"] = " ".join(_PLACES)
-
-
-def _moments(time: np.ndarray) -> tuple[np.ndarray, dict]:
-    """Times as whole numbers and what they count: seconds, or nanoseconds where those are not whole; NaT as NumPy's."""
-    nanoseconds = time.astype("datetime64[ns]").astype(np.int64)
-    known = nanoseconds != _NO_TIME
-    whole = not np.any(nanoseconds[known] % 1_000_000_000)
-    unit, step = ("seconds", 1_000_000_000) if whole else ("nanoseconds", 1)
-    counted = np.where(known, nanoseconds // step, _NO_TIME)
-    return counted, {"units": f"{unit} since 1970-01-01", "calendar": "proleptic_gregorian"}
-
-
-def axes(sky: Sky) -> tuple[str, str, str]:
-    """The dimensions of a sky's samples in a file."""
-    return _AXES if sky.response is None else (*_AXES[:2], "channel")
-
-
-def degrees(radians: np.ndarray) -> np.ndarray:
-    """Degrees, rounded to 1e-10 so that a written angle reads as it was typed."""
-    return np.round(np.rad2deg(radians), 10)
-
-
-def attributes(sky: Sky) -> dict[str, float]:
-    """The station and the line shape of `sky`, by their names in files; what is NaN is left out."""
-    values = {
-        "latitude": sky.latitude_deg,
-        "longitude": sky.longitude_deg,
-        "altitude_m": sky.altitude_m,
-        "pressure_pa": sky.pressure_pa,
-        "fwhm_nm": sky.fwhm_nm,
-    }
-    return {name: float(value) for name, value in values.items() if np.isfinite(value)}

@@ -12,14 +12,13 @@ from jaxtyping import Float
 from ..samples import Sky
 from ..units import RADIANCE, radiance_factor
 from .grid import Axis, by_time, fill, repeated
-from .netcdf import attributes, degrees
 from .screening import assemble, check_angles, Contents
 
 
-_REQUIRED = ("view_zenith", "view_azimuth", "wavelength", "radiance")
+REQUIRED = ("view_zenith", "view_azimuth", "wavelength", "radiance")
 # What an empty cell means; None where it is an error.
 _EMPTY = {
-    **dict.fromkeys(_REQUIRED),
+    **dict.fromkeys(REQUIRED),
     "radiance": np.nan,
     "sigma": np.nan,
     "suspect": 0.0,
@@ -38,8 +37,8 @@ _STATION = {
 # Per row these say one thing per file
 _PER_FILE = ("latitude", "longitude")
 # and these one thing per time and wavelength
-_SUN = ("sun_zenith", "sun_azimuth")
-_BEAM = ("direct_normal_irradiance", "direct_normal_irradiance_sigma")
+SUN = ("sun_zenith", "sun_azimuth")
+BEAM = ("direct_normal_irradiance", "direct_normal_irradiance_sigma")
 # A grid this large and this empty comes from samples that share no grid.
 _LARGEST_GRID = 20_000_000
 _EMPTIEST_GRID = 100
@@ -66,7 +65,7 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
     """
     name = path.name
     header, comments, rows = _open(path)
-    _require(name, header, _REQUIRED)
+    _require(name, header, REQUIRED)
     lines, cells = [], []
     for line, row in rows:
         lines.append(line)
@@ -104,7 +103,7 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
             place = _shared(name, lines, key, number[key], np.zeros_like(index[0]), "file")
             if np.isfinite(place[0]):
                 numbers[key] = float(place[0])
-    beam = [_per_band(name, lines, key, number, index, shape) for key in _BEAM]
+    beam = [_per_band(name, lines, key, number, index, shape) for key in BEAM]
     numbers.update(station)
     unused = [key for key in header if key not in number and key != "time"]
     if unused:
@@ -162,11 +161,11 @@ def read_directions(
     path = Path(path)
     name = path.name
     header, _, rows = _open(path)
-    _require(name, header, _REQUIRED[:2])
+    _require(name, header, REQUIRED[:2])
     angles = []
     for line, cells in rows:
-        pair = [_number(name, line, key, cells[header.index(key)], None) for key in _REQUIRED[:2]]
-        for key, value, low, high in zip(_REQUIRED[:2], pair, (0.0, -360.0), (90.0, 720.0), strict=True):
+        pair = [_number(name, line, key, cells[header.index(key)], None) for key in REQUIRED[:2]]
+        for key, value, low, high in zip(REQUIRED[:2], pair, (0.0, -360.0), (90.0, 720.0), strict=True):
             if not low <= value <= high:
                 raise ValueError(
                     f"{name}: row {line}, column `{key}`: expected degrees in [{low:g}, {high:g}], found {value:g}"
@@ -308,7 +307,7 @@ def _shared(name, lines, key, values, group, scope):
 
 def _sun(name, lines, number, index, shape):
     """The sun's angles, `[time]`, or `[time, wavelength]` where it moves, NaN in holes, and then the rows of each."""
-    grids = [_per_band(name, lines, key, number, index, shape) for key in _SUN]
+    grids = [_per_band(name, lines, key, number, index, shape) for key in SUN]
     grids = [np.full(shape[::2], np.nan) if grid is None else grid for grid in grids]
     known = [~np.isnan(grid) for grid in grids]
     first = [grid[np.arange(shape[0]), there.argmax(axis=1)] for grid, there in zip(grids, known, strict=True)]
@@ -360,61 +359,3 @@ def _header_numbers(name, comments):
         elif key == "note":
             notes.append(value)
     return station, factor, saturation, notes
-
-
-def write_tidy(sky: Sky, path: Path) -> None:
-    """Write `sky` as the tidy CSV that `read_tidy` reads; a sample that is NaN has no number.
-
-    **Arguments** `path`: the file; written in place, see `writing.atomic`.
-
-    **Valid** times that are known and differ, unless there is one; directions that differ.
-    """
-    if sky.response is not None:
-        raise ValueError("a CSV has no place for the response of channels: write NetCDF")
-    timed = not (len(sky.time) == 1 and np.isnat(sky.time[0]))
-    if timed and (np.any(np.isnat(sky.time)) or len(np.unique(sky.time)) < len(sky.time)):
-        raise ValueError("a CSV tells times apart by `time`: expected all to be known and to differ; write NetCDF")
-    views = np.stack([degrees(sky.view_zenith), degrees(sky.view_azimuth)], axis=2)
-    there = np.asarray(np.isfinite(views).all(axis=2))
-    for pattern, known in zip(views[:1] if sky.one_pattern else views, there, strict=False):
-        if len(np.unique(pattern[known], axis=0)) < known.sum():
-            raise ValueError(
-                "a CSV tells directions apart by `view_zenith` and `view_azimuth`: expected all to differ; write NetCDF"
-            )
-    header = (["time"] if timed else []) + list(_REQUIRED)
-    header += (["sigma"] if sky.sigma is not None else []) + ["suspect", *_SUN]
-    beam = [values for values in (sky.direct_irradiance, sky.direct_sigma) if values is not None]
-    header += _BEAM[: len(beam)]
-    grid = sky.radiance.shape[::2]
-    sun = [degrees(angle).reshape(len(angle), -1) for angle in (sky.sun_zenith, sky.sun_azimuth)]
-    sun = [np.broadcast_to(angle, grid).tolist() for angle in sun]
-    wavelengths = sky.wavelength_nm.tolist()
-    with open(path, "w", encoding="utf-8", newline="") as stream:
-        for key, value in attributes(sky).items():
-            stream.write(f"# {key}: {value!r}\n")
-        stream.write(f"# units: {RADIANCE}\n")
-        for note in sky.notes:
-            stream.write(f"# note: {' '.join(note.split())}\n")
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(header)
-        for time, moment in enumerate(sky.time):
-            start = [_iso(moment)] if timed else []
-            for direction in np.flatnonzero(there[time]):
-                angles = views[time, direction].tolist()
-                rows = sky.radiance[time, direction].tolist()
-                sigma = None if sky.sigma is None else sky.sigma[time, direction].tolist()
-                masked = (~sky.usable[time, direction]).astype(int).tolist()
-                for place, wavelength in enumerate(wavelengths):
-                    row = [*start, *angles, wavelength, _cell(rows[place])]
-                    row += [] if sigma is None else [_cell(sigma[place])]
-                    row += [masked[place], sun[0][time][place], sun[1][time][place]]
-                    writer.writerow([*row, *(_cell(float(values[time, place])) for values in beam)])
-
-
-def _iso(moment):
-    whole = moment.astype("datetime64[s]")
-    return f"{whole if whole == moment else moment}Z"
-
-
-def _cell(value):
-    return "" if np.isnan(value) else value

@@ -11,8 +11,8 @@ import numpy as np
 
 from ...atmosphere import describe
 from ...measured import atomic, Sky, write_sky
-from ...measured.readers.netcdf import axes, degrees, write_netcdf
 from ...measured.units import RADIANCE
+from ...measured.writers import axes, degrees, write_netcdf
 from ...measured.writing import skyfit_version
 from ...retrieve import Derived, Fit, haze_optics, PARAMETERS
 from .schema import SCHEMA, VERSION
