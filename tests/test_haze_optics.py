@@ -86,7 +86,7 @@ def test_the_record_holds_the_optics_and_the_spheres(start, tmp_path):
     fit = fitted(sky_of_spheres(0), start)
     skyfit.save(fit, tmp_path / "fit.json")
     record = json.loads((tmp_path / "fit.json").read_text())
-    assert record["atmosphere"]["aerosol"] == "TwoModeAerosol" and record["atmosphere"]["phase"] == "TwoModePhase"
+    assert record["atmosphere"]["constituents"]["aerosol"]["kind"] == "TwoModeAerosol"
     haze = record["times"][0]["haze"]
     assert haze["effective_radius"]["unit"] == "um" and 0.1 < haze["effective_radius"]["value"] < 0.5
     assert record["fixed"]["absorption_index"]["value"] == pytest.approx(0.006)
