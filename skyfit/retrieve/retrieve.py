@@ -14,7 +14,7 @@ from ..transport import AbstractSolver
 from .forward import Problem
 from .model import SkyModel
 from .parameters import PARAMETERS, partition
-from .residuals import calibration_of, Choices, cost, Numbers, objective, Priors, whitened
+from .residuals import calibration_of, Choices, cost, Known, Numbers, objective, Priors, whitened
 from .uncertainty import described, End, Estimate, noise_scale
 
 
@@ -114,8 +114,13 @@ def search(
 
     begins = Point(starts.own, jnp.concatenate([starts.shared, jnp.zeros((starts.own.shape[0], none), dtype)], axis=1))
     first = jax.tree.map(lambda v: v[0], begins)
-    shapes = jax.eval_shape(lambda: rows(first, (fixed, problem, priors, ones, numbers.threshold))[1])
-    nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+    times, directions, _ = problem.measured.shape
+    samples = (directions + (problem.direct is not None)) * channels
+    nothing = Known(
+        jnp.zeros_like(problem.measured),
+        None if problem.direct is None else jnp.zeros_like(problem.direct),
+        jnp.zeros((times, samples, len(choices.names)), dtype),
+    )
     best = End(first, nothing, jnp.array(jnp.inf, dtype), jnp.array(0), optx.RESULTS.successful)
     items = jax.tree.map(lambda v: jnp.concatenate([v, v[:1]]), begins)
     last = jnp.arange(starts.own.shape[0] + 1) == starts.own.shape[0]
