@@ -81,7 +81,10 @@ def _block(thing: eqx.Module) -> dict[str, Any]:
 
 def _plain(values):
     """Numbers with as few digits as their float type tells apart."""
-    return [_plain(row) for row in values] if np.ndim(values) else float(str(values[()]))
+    if np.ndim(values):
+        return [_plain(row) for row in values]
+    # `str` would follow NumPy's print options, which other packages set
+    return float(np.format_float_scientific(values[()], unique=True))
 
 
 def from_description(block: dict[str, Any], key: str = "") -> Atmosphere:

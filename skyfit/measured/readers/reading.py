@@ -9,7 +9,8 @@ from .netcdf import read_netcdf
 from .tidy import read_tidy
 
 
-_READERS = {".nc": read_netcdf, ".nc4": read_netcdf, ".cdf": read_netcdf, ".csv": read_tidy}
+# by suffix; a folder is of ASD text exports
+READERS = {".nc": read_netcdf, ".nc4": read_netcdf, ".cdf": read_netcdf, ".csv": read_tidy}
 
 
 def read(
@@ -53,7 +54,7 @@ def read(
             raise ValueError(f"{path}: expected a file or a folder, found none")
         if not path.is_file():
             raise ValueError(f"{path}: expected a file or a folder, found a pipe or a device")
-        reader = _READERS.get(path.suffix.lower())
+        reader = READERS.get(path.suffix.lower())
         if reader is None:
             raise ValueError(
                 f"{path.name}: expected *.nc, *.csv or a folder of ASD text exports, found suffix {path.suffix!r}"
