@@ -187,7 +187,7 @@ def _solver(solver: AbstractSolver | None) -> AbstractSolver:
 def _names(names, argument: str, model: SkyModel) -> tuple[str, ...]:
     """The names as a tuple, or a `ValueError` that quotes the argument they came in."""
     several = (names,) if isinstance(names, str) else tuple(names)
-    check_free(several, model, argument)
+    check_free(several, model, argument, per_wavelength=True)
     return several
 
 

@@ -215,14 +215,17 @@ def start_model(free: tuple[str, ...], pressure: float) -> SkyModel:
     return SkyModel(Atmosphere(Rayleigh(pressure=as_float(pressure)), haze))
 
 
-def check_free(free: tuple[str, ...], model: SkyModel, argument: str = "free") -> None:
-    """A `ValueError` about `argument` unless every name is a parameter that this model has, once, not contradicting."""
+def check_free(free: tuple[str, ...], model: SkyModel, argument: str = "free", per_wavelength: bool = False) -> None:
+    """A `ValueError` about `argument` unless every name is a parameter that this model has, once, not contradicting.
+
+    What is given per wavelength is one where `per_wavelength` says so: it moves as a whole.
+    """
     if not free:
         raise ValueError(f"`{argument}` must name at least one parameter")
     for name in free:
         if name not in PARAMETERS:
             raise ValueError(f"`{argument}` must name parameters among {', '.join(PARAMETERS)}; got {name!r}")
-        if not _present(PARAMETERS[name], model):
+        if not _present(PARAMETERS[name], model, per_wavelength):
             raise ValueError(f"`{argument}` names {name!r}, which this atmosphere does not have")
     if len(set(free)) < len(free):
         raise ValueError(f"`{argument}` must name each parameter once, got {', '.join(free)}")
@@ -230,13 +233,12 @@ def check_free(free: tuple[str, ...], model: SkyModel, argument: str = "free") -
         raise ValueError(f"`{argument}` must not hold both turbidity and aerosol_optical_depth: they are one")
 
 
-def _present(parameter: Parameter, model: SkyModel) -> bool:
+def _present(parameter: Parameter, model: SkyModel, per_wavelength: bool = False) -> bool:
     try:
         leaf = parameter.leaf(model)
     except AttributeError:
         return False
-    # what is given per wavelength is no parameter
-    return leaf is not None and jnp.ndim(leaf) == 0
+    return leaf is not None and (per_wavelength or jnp.ndim(leaf) == 0)
 
 
 def values_of(model: SkyModel, names) -> dict[str, float]:
