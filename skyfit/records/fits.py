@@ -92,9 +92,8 @@ def fit_many(
             raise ValueError(f"`{name}` must be a whole number of 1 or more, got {value!r}")
     asked = prepared(sky, free, solver, start, fwhm_nm, max_steps, (), measurement, response, priors, None, draft)
     # one more solver to compile pays over many skies
-    coarser = asked.solver.coarser()
-    if draft is None and coarser != asked.solver:
-        asked = replace(asked, slopes=coarser)
+    if draft is None:
+        asked = replace(asked, slopes=asked.solver.coarser())
     settings = _settings(asked, max_steps, guess, starts)
     times = len(sky.time)
     target = None if path is None else Path(path)

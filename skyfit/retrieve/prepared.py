@@ -120,7 +120,7 @@ def prepared(
     problem, places = sampling.problem(chosen, measurement)
     rows = _prior_rows(sky, own, common, known, ties if linked else {}, measurement.calibration_prior(sky))
     return Prepared(
-        sky, free, own, common, solver, None if draft == solver else draft, start, measurement, known, ties,
+        sky, free, own, common, solver, draft, start, measurement, known, ties,
         max_steps, sampling, chosen, problem, places, rows, linked,
     )  # fmt: skip
 

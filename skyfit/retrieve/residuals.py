@@ -73,9 +73,9 @@ def on_scale(names: tuple[str, ...], free: Float[Array, " parameter"]) -> Float[
     return jnp.stack([PARAMETERS[n].on_scale(free[i]) for i, n in enumerate(names)])
 
 
-def _with_slope(function, names: tuple[str, ...], free):
-    """A map that acts on each number by itself, and its derivative."""
-    return jax.jvp(lambda v: function(names, v), (free,), (jnp.ones_like(free),))
+def _with_slope(names: tuple[str, ...], free):
+    """`on_scale`, which acts on each number by itself, and its derivative."""
+    return jax.jvp(lambda v: on_scale(names, v), (free,), (jnp.ones_like(free),))
 
 
 def _samples(one: Problem, radiance, direct):
@@ -168,8 +168,8 @@ def linearised(
     """What the solver says of one time, and its slopes by the parameters on their scales, by `slopes_by` if given.
 
     The slopes are differences over a small share of each range, kept inside it: to one side in double precision, to
-    both sides, over more, in single. Values and slopes then are one loop through one copy of the solver, which
-    compiles in a fifth of the time of forward-mode slopes and takes about as long to run.
+    both sides, over more, in single. Values and slopes then are one loop through one copy of the solver: compiling
+    forward-mode slopes would take most of a first retrieval.
     """
     low, high = (jnp.asarray(ends, scaled.dtype) for ends in zip(*(PARAMETERS[n].ends() for n in names), strict=True))
     share, both = _DIFFERENCE[scaled.dtype == jnp.float64]
@@ -206,7 +206,7 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
 
         def known_at(item):
             own, one = item
-            scaled, slope = _with_slope(on_scale, names, jnp.concatenate([own, shared]))
+            scaled, slope = _with_slope(names, jnp.concatenate([own, shared]))
             return linearised(names, solver, slopes_by, fixed, scaled, one), slope
 
         known, slopes = jax.lax.map(known_at, (here.own, problem))
@@ -218,9 +218,7 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
             by_channel = known.radiance * (after.slope * weight)[:, : known.radiance[0].size].reshape(
                 known.radiance.shape
             )
-        scaled, steep = (
-            jax.vmap(lambda own: _with_slope(on_scale, choices.own, own))(here.own) if count else (here.own, here.own)
-        )
+        scaled, steep = jax.vmap(lambda own: _with_slope(choices.own, own))(here.own) if count else (here.own, here.own)
         prior = (scaled - priors.centre[None, :count]) * priors.inverse_sigma[None, :count]
         own, common, right = rows_of_times(
             by_value * slopes[:, None], after.value[..., None], by_channel, steep * priors.inverse_sigma[None, :count],
@@ -249,7 +247,7 @@ def shared_priors(choices: Choices, shared, priors: Priors):
     count, first = len(choices.shared), len(choices.own)
     value, slope = shared[:0], shared[:0]
     if count:
-        scaled, steep = _with_slope(on_scale, choices.shared, shared[:count])
+        scaled, steep = _with_slope(choices.shared, shared[:count])
         value = (scaled - priors.centre[first:]) * priors.inverse_sigma[first:]
         slope = steep * priors.inverse_sigma[first:]
     if priors.calibration is None:

@@ -63,6 +63,7 @@ def retrieve(
         start = Point(jnp.broadcast_to(own, (1, times, own.size)), common[None])
     numbers = Numbers(*(jnp.asarray(v) for v in (threshold, model_error, max_steps)))
     _, fixed = partition(model, free)
+    slopes = None if slopes == solver else slopes
     end = search(choices, numbers, (solver, slopes), fixed, problem, priors, start)
     found = described(choices, numbers, problem, priors, end)
     order = np.array([choices.names.index(n) for n in free])
