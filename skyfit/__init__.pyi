@@ -51,7 +51,7 @@ from .atmosphere import (
 from .draw import plot as plot
 from .light import daylight as daylight, srgb as srgb, srgb_from_linear as srgb_from_linear, xyY as xyY, xyz as xyz
 from .measured import (
-    Measurement as Measurement,
+    NoiseModel as NoiseModel,
     read as read,
     read_response as read_response,
     Response as Response,
@@ -66,10 +66,10 @@ from .records import (
     save as save,
 )
 from .retrieve import (
+    aerosol_optics as aerosol_optics,
     fisher_information as fisher_information,
     Fit as Fit,
     Fits as Fits,
-    haze_optics as haze_optics,
     invert as invert,
     next_directions as next_directions,
     PARAMETERS as PARAMETERS,
@@ -90,7 +90,7 @@ from .transport import (
     AerialPerspective as AerialPerspective,
     constant_ambient as constant_ambient,
     DoubleScattering as DoubleScattering,
-    Fluxes as Fluxes,
+    Irradiances as Irradiances,
     OrdersOfScattering as OrdersOfScattering,
     Path as Path,
     scattered_light as scattered_light,

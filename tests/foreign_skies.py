@@ -149,8 +149,10 @@ def sasktran2_stokes(
     air = sk.Atmosphere(model, config, numwavel=wavelength.size, calculate_derivatives=False)
     for place, constituent in enumerate(atmosphere.constituents):
         shape = np.asarray(constituent.profile.density(jnp.asarray(height, float)), float)
-        extinction = np.outer(shape / np.trapezoid(shape, height), constituent.extinction(wavelength))
-        albedo = np.broadcast_to(np.asarray(constituent.albedo(wavelength), float), extinction.shape).copy()
+        extinction = np.outer(shape / np.trapezoid(shape, height), constituent.optical_depth_at(wavelength))
+        albedo = np.broadcast_to(
+            np.asarray(constituent.single_scattering_albedo_at(wavelength), float), extinction.shape
+        ).copy()
         legendre = None
         if constituent.phase is not None:
             greek = greek_coefficients(constituent.phase, moments, wavelength, polarised)

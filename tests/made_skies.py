@@ -11,7 +11,7 @@ HAZE = {"aerosol_optical_depth": 0.2, "angstrom_exponent": 1.1, "asymmetry": 0.6
 FREE = tuple(HAZE)
 PLAIN = np.arange(400.0, 681.0, 20.0)
 # noise alone in sigma
-EXACT = skyfit.Measurement(model_error=0.0)
+EXACT = skyfit.NoiseModel(model_error=0.0)
 
 
 def by_hand(

@@ -199,7 +199,7 @@ def sky_like(scene):
     """An aureole and a bright horizon."""
     half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)
     bright = 1.0 - jnp.exp(-0.3 / jnp.maximum(jnp.cos(scene.view.zenith), 1e-3))
-    aureole = HenyeyGreenstein(0.7).value(half, scene.wavelength_nm)
+    aureole = HenyeyGreenstein(0.7).at_haversine(half, scene.wavelength_nm)
     return bright[:, None] * (0.05 + aureole) * even_sky(scene)
 
 

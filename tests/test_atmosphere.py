@@ -79,7 +79,7 @@ def test_rayleigh_depth_is_close_to_sasktran2s():
 
 def test_the_papers_air_is_17_percent_larger():
     wavelength = jnp.array([550.0])
-    ratio = Rayleigh(formula="paper").extinction(wavelength) / Rayleigh().extinction(wavelength)
+    ratio = Rayleigh(formula="paper").optical_depth_at(wavelength) / Rayleigh().optical_depth_at(wavelength)
     assert float(ratio[0]) == pytest.approx(1.17, abs=0.005)
 
 
@@ -112,8 +112,10 @@ def test_rayleigh_scales_with_pressure_and_scatters_all():
     wavelength = jnp.array([450.0, 650.0])
     for formula in ("bodhaine", "paper"):
         full, half = Rayleigh(formula=formula), Rayleigh(pressure=0.5 * 101325.0, formula=formula)
-        np.testing.assert_allclose(half.extinction(wavelength), 0.5 * full.extinction(wavelength), rtol=1e-6)
-    np.testing.assert_array_equal(Rayleigh().albedo(wavelength), [1.0, 1.0])
+        np.testing.assert_allclose(
+            half.optical_depth_at(wavelength), 0.5 * full.optical_depth_at(wavelength), rtol=1e-6
+        )
+    np.testing.assert_array_equal(Rayleigh().single_scattering_albedo_at(wavelength), [1.0, 1.0])
     # a `ValueError` of ours, or the type checker's word where it runs
     with pytest.raises((ValueError, TypeError), match="formula"):
         Rayleigh(formula="teillet")
@@ -131,10 +133,14 @@ def test_pressure_of_the_standard_atmosphere():
 def test_aerosol_follows_angstrom():
     haze = Aerosol(0.2, 1.3, 0.9, 0.1)
     wavelength = jnp.array([400.0, 550.0, 1000.0])
-    np.testing.assert_allclose(haze.extinction(wavelength), 0.2 * (np.array(wavelength) / 550.0) ** -1.3, rtol=1e-5)
-    np.testing.assert_allclose(haze.albedo(wavelength), 0.9 + 0.1 * np.log(np.array(wavelength) / 550.0), rtol=1e-5)
-    assert float(jnp.max(Aerosol(0.2, 1.3, 0.99, 0.5).albedo(wavelength))) == 1.0
-    assert float(jnp.min(Aerosol(0.2, 1.3, 0.01, 0.5).albedo(wavelength))) == 0.0
+    np.testing.assert_allclose(
+        haze.optical_depth_at(wavelength), 0.2 * (np.array(wavelength) / 550.0) ** -1.3, rtol=1e-5
+    )
+    np.testing.assert_allclose(
+        haze.single_scattering_albedo_at(wavelength), 0.9 + 0.1 * np.log(np.array(wavelength) / 550.0), rtol=1e-5
+    )
+    assert float(jnp.max(Aerosol(0.2, 1.3, 0.99, 0.5).single_scattering_albedo_at(wavelength))) == 1.0
+    assert float(jnp.min(Aerosol(0.2, 1.3, 0.01, 0.5).single_scattering_albedo_at(wavelength))) == 0.0
 
 
 @hypothesis.given(st.floats(1.0, 20.0))
@@ -151,7 +157,7 @@ def test_from_turbidity_may_be_traced():
     wavelength = jnp.array([450.0, 550.0])
 
     def depth(turbidity):
-        return Atmosphere.from_turbidity(turbidity, angstrom_exponent=1.0).aerosol.extinction(wavelength)
+        return Atmosphere.from_turbidity(turbidity, angstrom_exponent=1.0).aerosol.optical_depth_at(wavelength)
 
     expected = depth(3.0)
     np.testing.assert_allclose(jax.jit(depth)(3.0), expected, rtol=1e-6)
@@ -166,7 +172,7 @@ def test_from_turbidity_may_be_traced():
 @pytest.mark.parametrize("wavelength, coefficient", [(300.0, 10.0), (320.0, 0.8), (350.0, 0.007), (450.0, 0.003)])
 def test_ozone_is_spectrl2s(wavelength, coefficient):
     """Bird & Riordan 1986, table 1, cm^-1: 1000 Dobson units are 1 atm-cm."""
-    found = Ozone(column=250.0).extinction(jnp.array([wavelength]))
+    found = Ozone(column=250.0).optical_depth_at(jnp.array([wavelength]))
     np.testing.assert_allclose(found, 0.25 * coefficient, rtol=1e-5)
 
 
@@ -175,18 +181,20 @@ def test_ozone_agrees_with_pvlib_between_its_rows_and_only_absorbs():
     table = spectrl2._SPECTRL2_COEFFS
     wavelength = np.linspace(310.0, 790.0, 97)
     expected = 0.3 * np.interp(wavelength, table["wavelength"], table["ozone_absorption"])
-    np.testing.assert_allclose(Ozone().extinction(jnp.asarray(wavelength, jnp.float32)), expected, atol=2e-5)
-    assert Ozone().phase is None and float(Ozone().albedo(jnp.array([550.0]))[0]) == 0.0
+    np.testing.assert_allclose(Ozone().optical_depth_at(jnp.asarray(wavelength, jnp.float32)), expected, atol=2e-5)
+    assert Ozone().phase is None and float(Ozone().single_scattering_albedo_at(jnp.array([550.0]))[0]) == 0.0
 
 
 def test_prescribed_gives_what_it_was_given():
     wavelength = jnp.array([450.0, 550.0, 650.0])
     one = Prescribed(np.array([0.1, 0.2, 0.3]), Exponential(1000.0), HenyeyGreenstein(0.6), np.array([0.9, 0.8, 0.7]))
-    np.testing.assert_allclose(one.extinction(wavelength), [0.1, 0.2, 0.3], rtol=1e-6)
-    np.testing.assert_allclose(one.albedo(wavelength), [0.9, 0.8, 0.7], rtol=1e-6)
-    np.testing.assert_array_equal(Prescribed(np.ones(3), Exponential(1000.0)).albedo(wavelength), np.ones(3))
+    np.testing.assert_allclose(one.optical_depth_at(wavelength), [0.1, 0.2, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(one.single_scattering_albedo_at(wavelength), [0.9, 0.8, 0.7], rtol=1e-6)
+    np.testing.assert_array_equal(
+        Prescribed(np.ones(3), Exponential(1000.0)).single_scattering_albedo_at(wavelength), np.ones(3)
+    )
     with pytest.raises(ValueError, match="`optical_depth` must be given at the scene's wavelengths"):
-        one.extinction(wavelength[:2])
+        one.optical_depth_at(wavelength[:2])
 
 
 def test_ground_reflectance_takes_a_slope_or_a_spectrum():
@@ -235,7 +243,7 @@ def phase(request):
         made = PHASES[request.param]()
         wavelength = jnp.asarray(WAVELENGTH)
         angle = 0.5 * np.pi * (NODES + 1.0)
-        values = np.asarray(made.value(jnp.asarray(np.sin(0.5 * angle) ** 2), wavelength))
+        values = np.asarray(made.at_haversine(jnp.asarray(np.sin(0.5 * angle) ** 2), wavelength))
         moments = np.asarray(made.moments(40, wavelength))
     return request.param, angle, values, moments
 
@@ -270,7 +278,7 @@ def test_the_legendre_series_gives_the_value_back(phase):
 def test_phase_functions_hold_in_float32(phase):
     name, angle, values, moments = phase
     made, wavelength = PHASES[name](), jnp.asarray(WAVELENGTH, jnp.float32)
-    found = made.value(jnp.asarray(np.sin(0.5 * angle) ** 2, jnp.float32), wavelength)
+    found = made.at_haversine(jnp.asarray(np.sin(0.5 * angle) ** 2, jnp.float32), wavelength)
     assert found.dtype == jnp.float32
     np.testing.assert_allclose(found, values, rtol=5e-5)
     np.testing.assert_allclose(made.moments(40, wavelength), moments, atol=5e-6)
@@ -281,24 +289,26 @@ def test_phase_gradients_are_finite_toward_the_sun_and_away(name):
     made = PHASES[name]()
     ends = jnp.array([0.0, 1e-9, 0.5, 1.0])
     wavelength = jnp.array([550.0])
-    for function in (lambda p, h: p.value(h, wavelength), lambda p, h: p.moments(6, wavelength)):
+    for function in (lambda p, h: p.at_haversine(h, wavelength), lambda p, h: p.moments(6, wavelength)):
         slopes = jax.jit(jax.jacrev(function, (0, 1)))(made, ends)
         assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(slopes))
 
 
 def test_rayleigh_without_depolarization_is_the_papers():
-    value = RayleighPhase(0.0).value(jnp.array([0.0, 0.5, 1.0]), jnp.array([550.0]))[:, 0]
+    value = RayleighPhase(0.0).at_haversine(jnp.array([0.0, 0.5, 1.0]), jnp.array([550.0]))[:, 0]
     np.testing.assert_allclose(value, 3.0 / (16.0 * np.pi) * np.array([2.0, 1.0, 2.0]), rtol=1e-6)
 
 
 def test_an_asymmetry_toward_zero_is_isotropic_and_is_the_mean_cosine():
     half, wavelength = jnp.linspace(0.0, 1.0, 9), jnp.array([550.0])
-    np.testing.assert_allclose(HenyeyGreenstein(1e-7).value(half, wavelength), 0.25 / np.pi, rtol=2e-6)
+    np.testing.assert_allclose(HenyeyGreenstein(1e-7).at_haversine(half, wavelength), 0.25 / np.pi, rtol=2e-6)
     np.testing.assert_allclose(
-        CornetteShanks(1e-7).value(half, wavelength), RayleighPhase(0.0).value(half, wavelength), rtol=2e-6
+        CornetteShanks(1e-7).at_haversine(half, wavelength),
+        RayleighPhase(0.0).at_haversine(half, wavelength),
+        rtol=2e-6,
     )
     # g > 0 scatters forward
-    forward, backward = HenyeyGreenstein(0.5).value(jnp.array([0.0, 1.0]), wavelength)[:, 0]
+    forward, backward = HenyeyGreenstein(0.5).at_haversine(jnp.array([0.0, 1.0]), wavelength)[:, 0]
     assert forward > backward
     assert float(HenyeyGreenstein(0.5).moments(2, wavelength)[1, 0]) == pytest.approx(0.5, rel=1e-6)
     # Cornette & Shanks 1992: the mean cosine is g (3 / 5) (4 + g^2) / (2 + g^2)
@@ -319,7 +329,7 @@ def test_bullrich_keeps_the_shape_of_preethams_table():
     """Table 1 at its own angles and bands, up to the norm."""
     phase = Tabulated.bullrich()
     angle = np.array(phase.angle)
-    values = np.asarray(phase.value(jnp.asarray(np.sin(0.5 * angle) ** 2), phase.table_wavelength_nm))
+    values = np.asarray(phase.at_haversine(jnp.asarray(np.sin(0.5 * angle) ** 2), phase.table_wavelength_nm))
     ratio = np.exp(np.array(phase.log_value)) / values
     np.testing.assert_allclose(ratio[1:-1] / ratio[1], 1.0, rtol=2e-4)
     assert values[0, 1] / values[len(angle) // 2, 1] > 5.0
@@ -345,19 +355,19 @@ PROFILES = {
 def test_profiles_hold_one_column(x64, name):
     make, jumps = PROFILES[name]
     profile = make()
-    assert float(profile.above(jnp.asarray(0.0))) == pytest.approx(1.0, abs=1e-14)
-    assert float(profile.above(jnp.asarray(3e5))) == pytest.approx(0.0, abs=1e-14)
+    assert float(profile.column_above(jnp.asarray(0.0))) == pytest.approx(1.0, abs=1e-14)
+    assert float(profile.column_above(jnp.asarray(3e5))) == pytest.approx(0.0, abs=1e-14)
     assert float(profile.reach()) > 0.0
     density = jax.jit(lambda h: profile.density(h))
     total, _ = quad(lambda h: float(density(jnp.asarray(h))), 0.0, 2e5, points=[*jumps, 1e4, 3e4], limit=200)
     assert total == pytest.approx(1.0, abs=1e-8)
     height = jnp.array([10.0, 500.0, 2500.0, 9000.0, 22000.0, 60000.0])
-    slope = jax.vmap(jax.grad(profile.above))(height)
+    slope = jax.vmap(jax.grad(profile.column_above))(height)
     np.testing.assert_allclose(slope, -profile.density(height), rtol=1e-10, atol=1e-20)
-    assert profile.above(jnp.ones((2, 3))).shape == (2, 3) == profile.density(jnp.ones((2, 3))).shape
+    assert profile.column_above(jnp.ones((2, 3))).shape == (2, 3) == profile.density(jnp.ones((2, 3))).shape
 
 
-@pytest.mark.parametrize("method", ["above", "density"])
+@pytest.mark.parametrize("method", ["column_above", "density"])
 @pytest.mark.parametrize("name", PROFILES)
 def test_profile_gradients_are_finite_at_every_height(name, method):
     height = jnp.array([0.0, 1000.0, 1e5, 1e6])
@@ -373,7 +383,7 @@ def test_profile_gradients_are_finite_at_every_height(name, method):
 def test_layers_are_normalised_and_checked():
     profile = Layered(np.array([0.0, 1000.0, 3000.0]), np.array([3.0, 1.0]))
     np.testing.assert_allclose(
-        profile.above(jnp.array([0.0, 1000.0, 2000.0, 3000.0])), [1.0, 0.25, 0.125, 0.0], atol=1e-6
+        profile.column_above(jnp.array([0.0, 1000.0, 2000.0, 3000.0])), [1.0, 0.25, 0.125, 0.0], atol=1e-6
     )
     np.testing.assert_allclose(profile.density(jnp.array([500.0, 2000.0, 5000.0])), [7.5e-4, 1.25e-4, 0.0], rtol=1e-6)
     with pytest.raises(ValueError, match="`edges` must have one entry more than `fraction`"):

@@ -281,14 +281,14 @@ def test_the_options_of_invert_reach_the_fit(monkeypatch, tmp_path):
     assert usual["free"] == DEFAULT_FREE and usual["shared"] == tuple(n for n in DEFAULT_FREE if n in SLOW)
     # the usual first steps of `invert` itself
     assert usual["solver"] == skyfit.OrdersOfScattering.normal(polarised=True) and usual["draft"] is None
-    assert usual["measurement"] == skyfit.Measurement() and usual["starts"] == 1
+    assert usual["measurement"] == skyfit.NoiseModel() and usual["starts"] == 1
     assert usual["response"] is None and usual["priors"] == usual["smooth"] == {}
     given = asked(
         monkeypatch, tmp_path, "--preset", "fine", "--field-of-view", "5", "--starts", "4", "--smooth", "asymmetry=0.1",
         "--smooth", "turbidity=0.3", "--free", "turbidity,asymmetry,ozone", "--response", "camera.csv",
     )  # fmt: skip
     assert (given["solver"], given["draft"]) == (skyfit.OrdersOfScattering.fine(), None)
-    assert given["measurement"] == skyfit.Measurement(field_of_view=np.radians(5.0)) and given["starts"] == 4
+    assert given["measurement"] == skyfit.NoiseModel(field_of_view=np.radians(5.0)) and given["starts"] == 4
     # what is smooth in time is not the same at all times
     assert given["smooth"] == {"asymmetry": 0.1, "turbidity": 0.3} and given["shared"] == ("ozone",)
     np.testing.assert_allclose(given["response"].weight, [[50.0, 0.0, 0.0], [0.0, 200.0, 50.0]])
@@ -403,7 +403,7 @@ def test_a_kept_program_gives_the_same_sky(tmp_path, monkeypatch):
 def test_what_the_help_knows_is_what_the_floors_beneath_have():
     assert known.SOLVER_NAMES == tuple(skyfit.transport.SOLVERS)
     assert known.PARAMETER_NAMES == tuple(PARAMETERS) and known.DEFAULT_FREE == DEFAULT_FREE
-    assert known.THRESHOLD == skyfit.Measurement().threshold
+    assert known.THRESHOLD == skyfit.NoiseModel().threshold
     assert known.SEA_LEVEL_PRESSURE == skyfit.atmosphere.SEA_LEVEL_PRESSURE
 
 

@@ -228,16 +228,16 @@ def test_without_ozone_there_is_no_ozone_in_the_program():
 
 
 def test_a_gas_is_its_table_times_its_column():
-    found = no2(0.5).extinction(jnp.array([400.0, 420.0, 700.0, 900.0]))
+    found = no2(0.5).optical_depth_at(jnp.array([400.0, 420.0, 700.0, 900.0]))
     per_dobson = np.array([6e-19, 5.5e-19, 0.0, 0.0]) * 2.6868e16
     np.testing.assert_allclose(found, 0.5 * per_dobson, rtol=2e-5)
     molecules = Gas(1e16, NO2_NM, NO2_CM2, Exponential(2000.0), unit="molecules cm-2")
     same = no2(1e16 / MOLECULES_PER_DOBSON)
-    np.testing.assert_allclose(molecules.extinction(COLOURS), same.extinction(COLOURS), rtol=1e-5)
+    np.testing.assert_allclose(molecules.optical_depth_at(COLOURS), same.optical_depth_at(COLOURS), rtol=1e-5)
     assert (no2().unit, molecules.unit, Ozone().unit) == ("DU", "molecules cm-2", "DU")
     for gas in (no2(), Ozone()):
-        assert gas.phase is None and not np.any(gas.albedo(jnp.asarray(COLOURS)))
-    slope = jax.grad(lambda g: g.extinction(jnp.array([400.0]))[0])(no2())
+        assert gas.phase is None and not np.any(gas.single_scattering_albedo_at(jnp.asarray(COLOURS)))
+    slope = jax.grad(lambda g: g.optical_depth_at(jnp.array([400.0]))[0])(no2())
     np.testing.assert_allclose(slope.absorption_per_unit, [0.0, 0.5, 0.0, 0.0, 0.0, 0.0], atol=1e-6)
     with pytest.raises(ValueError, match="`absorption_per_unit` must be given at `table_wavelength_nm`"):
         Gas.from_cross_section(1.0, NO2_NM, NO2_CM2[:3], Exponential(2000.0))
@@ -245,12 +245,12 @@ def test_a_gas_is_its_table_times_its_column():
 
 def test_sunlight_has_the_atmospheres_ozone(x64):
     nm = np.array([310.0, 450.0, 600.0, 605.0, 760.0, 900.0])
-    papers = Ozone(350.0, table="preetham").extinction(jnp.asarray(nm))
+    papers = Ozone(350.0, table="preetham").optical_depth_at(jnp.asarray(nm))
     beam = Sunlight(2.0, ozone=350.0 * 1e-5).factors(0.8, nm).ozone
     np.testing.assert_allclose(-np.log(beam), papers * relative_airmass(jnp.asarray(0.8)), rtol=1e-9, atol=1e-15)
     # Preetham 1999, Table 2, per metre; between the rows of Bird & Riordan there is less
     assert float(papers[2]) == pytest.approx(12.5 * 350.0 * 1e-5, rel=1e-12)
-    np.testing.assert_allclose(Ozone(350.0).extinction(jnp.asarray(nm)), papers, rtol=0.08)
+    np.testing.assert_allclose(Ozone(350.0).optical_depth_at(jnp.asarray(nm)), papers, rtol=0.08)
 
 
 # --- the block of a file
@@ -394,5 +394,5 @@ def test_a_bad_block_is_refused_in_a_line_that_names_the_key(case):
 def test_a_user_may_name_any_number_of_them():
     many = Atmosphere(**{f"layer_{i}": Aerosol(0.01 * i, phase=HenyeyGreenstein(0.5)) for i in range(1, 9)})
     assert many.names[2:] == tuple(f"layer_{i}" for i in range(1, 9))
-    depth = sum(float(c.extinction(jnp.array([550.0]))[0]) for c in many.constituents[2:])
+    depth = sum(float(c.optical_depth_at(jnp.array([550.0]))[0]) for c in many.constituents[2:])
     assert depth == pytest.approx(0.36, rel=1e-5) and skyfit.Gas is Gas

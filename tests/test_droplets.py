@@ -37,7 +37,7 @@ def test_the_phase_function_is_normalised_with_the_tables_moments(x64, kind):
     np.testing.assert_allclose(moments[0], 1.0, rtol=1e-12)
     np.testing.assert_allclose(moments[1], means[f"{kind}_asymmetry"], atol=6e-3)
     angle = np.pi * (np.arange(4000) + 0.5) / 4000
-    values = np.asarray(phase.value(jnp.asarray(np.sin(0.5 * angle) ** 2), jnp.asarray(BANDS)))
+    values = np.asarray(phase.at_haversine(jnp.asarray(np.sin(0.5 * angle) ** 2), jnp.asarray(BANDS)))
     np.testing.assert_allclose(2.0 * np.pi * np.pi / 4000 * np.sin(angle) @ values, 1.0, atol=5e-3)
 
 
@@ -80,12 +80,12 @@ def test_one_size_of_droplets_is_miepythons_own():
 
 def test_a_fogs_depth_is_its_coefficient_times_its_thickness(x64):
     fog = Droplets.fog(0.03, 80.0)
-    depth = np.asarray(fog.extinction(jnp.array([550.0, 400.0, 700.0, 900.0])))
+    depth = np.asarray(fog.optical_depth_at(jnp.array([550.0, 400.0, 700.0, 900.0])))
     means = read_table("droplet_efficiencies.csv")["fog_efficiency"]
     np.testing.assert_allclose(depth, 2.4 * means[[3, 0, 5, 5]] / means[3], rtol=1e-12)
-    np.testing.assert_array_equal(fog.albedo(jnp.array([550.0, 700.0])), 1.0)
+    np.testing.assert_array_equal(fog.single_scattering_albedo_at(jnp.array([550.0, 700.0])), 1.0)
     assert float(fog.profile.density(jnp.asarray(0.0))) == pytest.approx(1.0 / 80.0)
-    assert float(fog.profile.above(jnp.asarray(80.0))) == 0.0
+    assert float(fog.profile.column_above(jnp.asarray(80.0))) == 0.0
     given = HenyeyGreenstein(0.85)
     assert Droplets.fog(phase=given).phase is given and Droplets.wet_haze(phase=given).phase is given
     with pytest.raises(ValueError, match="`kind`"):

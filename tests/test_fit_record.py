@@ -14,7 +14,7 @@ from skies import fit_of_made_sky, MADE_FREE as FREE, MADE_SHARED as SHARED
 import skyfit.records.fit.write as fit_record
 from skyfit import Aerosol, Atmosphere
 from skyfit.atmosphere import CornetteShanks, Droplets, HenyeyGreenstein, Layered, Levels, Rayleigh
-from skyfit.measured import Measurement, read, Response
+from skyfit.measured import NoiseModel, read, Response
 from skyfit.records import load, save, write_prediction
 from skyfit.retrieve import Fit, predict, SkyModel, start_model
 from skyfit.transport import OrdersOfScattering
@@ -324,7 +324,7 @@ def test_times_that_share_nothing_have_all_parameters_and_scales_of_their_own(fi
 
 
 def test_what_was_asked_for_is_told(fit, tmp_path):
-    asked = Measurement(0.01, 0.02, 0.03, 0.004, np.radians(5.0), "cauchy", 2.0)
+    asked = NoiseModel(0.01, 0.02, 0.03, 0.004, np.radians(5.0), "cauchy", 2.0)
     weight = fit.weight.copy()
     weight[1, 4] = [0.2, 0.4, np.nan]
     changed = replace(

@@ -198,7 +198,7 @@ def test_an_absent_scatterer_leaves_a_black_sky(name):
         np.testing.assert_array_equal(SOLVERS[name].radiance(atmosphere, scene), 0.0)
         flux = SOLVERS[name].fluxes(atmosphere, scene)
         np.testing.assert_array_equal(flux.diffuse_down, 0.0)
-        depth = 0.0 if "ozone" not in atmosphere else float(Ozone().extinction(jnp.asarray(ONE, float))[0])
+        depth = 0.0 if "ozone" not in atmosphere else float(Ozone().optical_depth_at(jnp.asarray(ONE, float))[0])
         expected = np.exp(-depth / np.cos(np.radians(60.0))) * np.cos(np.radians(60.0))
         # ozone lies high: curvature shortens its path by about 1 %
         np.testing.assert_allclose(flux.direct, expected, rtol=2e-3)

@@ -16,7 +16,7 @@ from skyfit.retrieve import start_model, with_values
 
 
 pytestmark = pytest.mark.usefixtures("haste")
-SQUARES = skyfit.Measurement(model_error=0.0, loss="squares")
+SQUARES = skyfit.NoiseModel(model_error=0.0, loss="squares")
 SHARED = ("asymmetry",)
 DEPTHS, EXPONENTS, ASYMMETRY = (0.15, 0.3), (1.1, 0.8), 0.65
 ANGLES = (0.9, 0.6)

@@ -60,7 +60,7 @@ def test_air_between_the_levels_is_the_standard_atmospheres(x64):
     expected = np.array([barometric(1e-3 * h) for h in height])
     found = np.asarray(air.density(jnp.asarray(height)) / air.density(jnp.asarray(0.0)))
     np.testing.assert_allclose(found, expected, rtol=2e-3)
-    above = np.asarray([float(air.above(jnp.asarray(h))) for h in (5e3, 11e3, 20e3)])
+    above = np.asarray([float(air.column_above(jnp.asarray(h))) for h in (5e3, 11e3, 20e3)])
     fine = np.linspace(0.0, 84.0, 1681)
     dense = np.array([barometric(h) for h in fine])
     whole, *parts = (np.trapezoid(dense[start:], fine[start:]) for start in (0, 100, 220, 400))
@@ -134,7 +134,7 @@ def test_single_scattering_in_eltermans_haze_is_the_integral(x64):
     levels, log = np.asarray(haze.profile.height), np.asarray(haze.profile.log_density())
     mu, mu_sun = np.cos(view), np.cos(sun)
 
-    share_above = jax.jit(lambda h: haze.profile.above(h))
+    share_above = jax.jit(lambda h: haze.profile.column_above(h))
 
     def integrand(h):
         share = float(np.exp(np.interp(h, levels, log)))
@@ -159,7 +159,7 @@ def test_gradients_of_a_table_are_central_differences(x64):
         profile = Levels(start[0].at[1:].multiply(scale[:4]), start[1] * scale[4:])
         cosine = jnp.full_like(height, 0.1)
         spherical = 1e-4 * slant_column(profile, height, cosine, "spherical")
-        return jnp.concatenate([profile.above(height), spherical, profile.reach()[None] * 1e-4])
+        return jnp.concatenate([profile.column_above(height), spherical, profile.reach()[None] * 1e-4])
 
     one = jnp.ones(9)
     slope = jax.jit(jax.jacfwd(values))(one)
@@ -179,7 +179,7 @@ def test_float32_is_near_float64_and_vmap_is_the_loop():
     def both(height):
         air = Levels.us_standard_1976()
         column = slant_column(air, height, jnp.full_like(height, 0.05), "spherical")
-        return jnp.stack([air.above(height), air.density(height) * 1e4, column])
+        return jnp.stack([air.column_above(height), air.density(height) * 1e4, column])
 
     narrow = both(jnp.asarray(height))
     assert narrow.dtype == jnp.float32
@@ -219,5 +219,5 @@ def test_a_table_says_what_is_wrong_with_it(height, density, message):
 def test_batches_of_tables_may_be_made_and_mapped():
     made = jax.vmap(lambda d: Levels(jnp.array([0.0, 1e3, 5e3]), d))(jnp.array([[1.0, 0.5, 0.1], [1.0, 0.9, 0.2]]))
     assert made.density_at.shape == (2, 3)
-    shares = jax.vmap(lambda p: p.above(jnp.asarray(1e3)))(made)
+    shares = jax.vmap(lambda p: p.column_above(jnp.asarray(1e3)))(made)
     assert 0.0 < float(shares[0]) < float(shares[1]) < 1.0

@@ -80,15 +80,15 @@ def test_losses_are_finite_with_their_gradients_in_both_precisions(loss):
 )
 def test_what_no_measurement_is_like(change, said):
     with pytest.raises(ValueError, match=said) as caught:
-        skyfit.Measurement(**change)
+        skyfit.NoiseModel(**change)
     assert "\n" not in str(caught.value)
 
 
 def test_a_loss_that_nobody_knows_is_refused():
     # by the class itself, where no type checker stands before it
-    known = {field.name: getattr(skyfit.Measurement(), field.name) for field in fields(skyfit.Measurement)}
+    known = {field.name: getattr(skyfit.NoiseModel(), field.name) for field in fields(skyfit.NoiseModel)}
     with pytest.raises(ValueError, match="`loss` must be .*got 'tukey'"):
-        skyfit.Measurement.__post_init__(SimpleNamespace(**(known | {"loss": "tukey"})))
+        skyfit.NoiseModel.__post_init__(SimpleNamespace(**(known | {"loss": "tukey"})))
 
 
 def two_times(sigma=True):
@@ -102,15 +102,15 @@ def two_times(sigma=True):
 def test_the_files_sigma_counts_unless_another_noise_is_given():
     sky = two_times()
     used = sky.usable
-    np.testing.assert_array_equal(skyfit.Measurement().sigma(sky, used), np.where(used, sky.sigma, 1.0))
-    given = skyfit.Measurement(relative=0.05).sigma(sky, used)
+    np.testing.assert_array_equal(skyfit.NoiseModel().sigma(sky, used), np.where(used, sky.sigma, 1.0))
+    given = skyfit.NoiseModel(relative=0.05).sigma(sky, used)
     np.testing.assert_allclose(given, np.where(used, 0.05 * sky.radiance, 1.0), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("relative", "floor"), [(0.03, None), (None, 0.1), (0.03, 0.1)])
 def test_noise_is_a_share_of_the_sample_and_of_the_times_median(relative, floor):
     sky = two_times(sigma=False)
-    got = skyfit.Measurement(relative=relative, floor=floor).sigma(sky, sky.usable)
+    got = skyfit.NoiseModel(relative=relative, floor=floor).sigma(sky, sky.usable)
     for t in range(2):
         used = sky.usable[t]
         level = (floor or 0.0) * np.median(sky.radiance[t][used])
@@ -121,24 +121,24 @@ def test_noise_is_a_share_of_the_sample_and_of_the_times_median(relative, floor)
 
 def test_noise_that_nobody_told_is_assumed_and_a_dark_sample_is_never_exact():
     sky = two_times(sigma=False)
-    assumed = skyfit.Measurement().sigma(sky, sky.usable)
-    given = skyfit.Measurement(relative=0.02, floor=0.05).sigma(sky, sky.usable)
+    assumed = skyfit.NoiseModel().sigma(sky, sky.usable)
+    given = skyfit.NoiseModel(relative=0.02, floor=0.05).sigma(sky, sky.usable)
     np.testing.assert_array_equal(assumed, given)
     dark = sky.radiance.copy()
     dark[0, 0, 0] = 0.0
-    got = skyfit.Measurement(relative=0.02).sigma(replace(sky, radiance=dark), sky.usable)
+    got = skyfit.NoiseModel(relative=0.02).sigma(replace(sky, radiance=dark), sky.usable)
     assert np.all(got > 0.0) and got[0, 0, 0] >= 1e-7
 
 
 def test_the_calibration_is_exact_where_the_noise_is_known():
     told, silent = two_times(), two_times(sigma=False)
-    assert skyfit.Measurement().calibration_prior(told) == 0.0
-    assert skyfit.Measurement().calibration_prior(silent) == 0.01
-    assert skyfit.Measurement(relative=0.02).calibration_prior(silent) == 0.0
-    assert skyfit.Measurement(floor=0.02).calibration_prior(silent) == 0.0
+    assert skyfit.NoiseModel().calibration_prior(told) == 0.0
+    assert skyfit.NoiseModel().calibration_prior(silent) == 0.01
+    assert skyfit.NoiseModel(relative=0.02).calibration_prior(silent) == 0.0
+    assert skyfit.NoiseModel(floor=0.02).calibration_prior(silent) == 0.0
     for sky in (told, silent):
-        assert skyfit.Measurement(calibration=0.03).calibration_prior(sky) == 0.03
-        assert skyfit.Measurement(calibration=0.0).calibration_prior(sky) == 0.0
+        assert skyfit.NoiseModel(calibration=0.03).calibration_prior(sky) == 0.03
+        assert skyfit.NoiseModel(calibration=0.0).calibration_prior(sky) == 0.0
 
 
 # errors of the model

@@ -38,8 +38,14 @@ def quantities(made, half=HALF, wavelength=WAVELENGTH):
     """Everything a solver asks for."""
     half, wavelength = jnp.asarray(half), jnp.asarray(wavelength)
     phase = made.phase
-    depth, albedo = made.extinction(wavelength), made.albedo(wavelength)
-    return depth, albedo, phase.value(half, wavelength), phase.matrix(half, wavelength), phase.moments(12, wavelength)
+    depth, albedo = made.optical_depth_at(wavelength), made.single_scattering_albedo_at(wavelength)
+    return (
+        depth,
+        albedo,
+        phase.at_haversine(half, wavelength),
+        phase.matrix(half, wavelength),
+        phase.moments(12, wavelength),
+    )
 
 
 def optics(made, half=HALF, wavelength=WAVELENGTH):
@@ -138,10 +144,12 @@ def test_the_published_volumes_give_the_published_optical_depth(x64):
     """
     wavelength = jnp.array([440.0, 670.0, 870.0, 1020.0])
     fine, coarse = (TwoModeAerosol(1.0, share) for share in (1.0, 0.0))
-    depth = 0.15 * 0.3 / fine.volumes[0] * fine.extinction(wavelength)[0]
-    depth += (0.01 + 0.04 * 0.3) / coarse.volumes[1] * coarse.extinction(wavelength)[0]
+    depth = 0.15 * 0.3 / fine.volumes[0] * fine.optical_depth_at(wavelength)[0]
+    depth += (0.01 + 0.04 * 0.3) / coarse.volumes[1] * coarse.optical_depth_at(wavelength)[0]
     assert float(depth) == pytest.approx(0.3, rel=0.05)
-    np.testing.assert_allclose(TwoModeAerosol(0.3).albedo(wavelength), [0.98, 0.97, 0.96, 0.95], atol=0.015)
+    np.testing.assert_allclose(
+        TwoModeAerosol(0.3).single_scattering_albedo_at(wavelength), [0.98, 0.97, 0.96, 0.95], atol=0.015
+    )
 
 
 # --- limits and conservation
@@ -155,7 +163,7 @@ def test_small_spheres_scatter_as_air_does(x64):
     depth, _, value, matrix, _ = optics_of(small, half, wavelength)
     lost, albedo, *_ = optics_of(dark, half, wavelength)
     air = RayleighPhase(0.0)
-    np.testing.assert_allclose(value, air.value(half, wavelength) + jnp.zeros((1, 2)), rtol=0.03)
+    np.testing.assert_allclose(value, air.at_haversine(half, wavelength) + jnp.zeros((1, 2)), rtol=0.03)
     np.testing.assert_allclose(matrix, air.matrix(half, wavelength) + jnp.zeros((1, 1, 2)), atol=0.02)
     moments = [compiled(lambda w, p=p: p.matrix_moments(6, w))(wavelength)[:, :, -1] for p in (small.phase, air)]
     np.testing.assert_allclose(*moments, atol=0.01)
@@ -182,7 +190,7 @@ def test_the_phase_function_is_normalised_and_gives_its_moments(x64, fraction):
     step = 0.5 * np.diff(edges)[:, None]
     angle = (edges[:-1, None] + step * (1.0 + nodes)).ravel()
     solid_angle = 2.0 * np.pi * np.sin(angle) * (step * weights).ravel()
-    values = np.asarray(phase.value(jnp.asarray(np.sin(0.5 * angle) ** 2), jnp.asarray(WAVELENGTH)))
+    values = np.asarray(phase.at_haversine(jnp.asarray(np.sin(0.5 * angle) ** 2), jnp.asarray(WAVELENGTH)))
     assert values.min() > 0.0
     legendre = np.polynomial.legendre.legvander(np.cos(angle), 64)
     integrals = (legendre * solid_angle[:, None]).T @ values
@@ -202,16 +210,25 @@ def test_forward_and_backward_spheres_keep_polarisation(x64):
 
 def test_what_is_not_absorbed_is_scattered(x64):
     wavelength = jnp.asarray(WAVELENGTH)
-    np.testing.assert_array_equal(TwoModeAerosol(0.2, absorption_index=0.0).albedo(wavelength), 1.0)
-    albedo = np.stack([TwoModeAerosol(0.2, absorption_index=k).albedo(wavelength) for k in np.linspace(0.0, 0.1, 21)])
+    np.testing.assert_array_equal(
+        TwoModeAerosol(0.2, absorption_index=0.0).single_scattering_albedo_at(wavelength), 1.0
+    )
+    albedo = np.stack(
+        [
+            TwoModeAerosol(0.2, absorption_index=k).single_scattering_albedo_at(wavelength)
+            for k in np.linspace(0.0, 0.1, 21)
+        ]
+    )
     assert np.all(np.diff(albedo, axis=0) < 0.0) and albedo.min() > 0.3
     made = TwoModeAerosol(0.2)
-    assert float(made.extinction(jnp.array([550.0]))[0]) == pytest.approx(0.2, rel=1e-12)
-    np.testing.assert_array_equal(TwoModeAerosol(0.0).extinction(wavelength), 0.0)
+    assert float(made.optical_depth_at(jnp.array([550.0]))[0]) == pytest.approx(0.2, rel=1e-12)
+    np.testing.assert_array_equal(TwoModeAerosol(0.0).optical_depth_at(wavelength), 0.0)
     # the modes add up as they should
     parts = [TwoModeAerosol(0.2 * s, f) for s, f in ((0.7, 1.0), (0.3, 0.0))]
     both = TwoModeAerosol(0.2, 0.7)
-    np.testing.assert_allclose(sum(p.extinction(wavelength) for p in parts), both.extinction(wavelength), rtol=1e-12)
+    np.testing.assert_allclose(
+        sum(p.optical_depth_at(wavelength) for p in parts), both.optical_depth_at(wavelength), rtol=1e-12
+    )
 
 
 def test_effective_radii_are_volume_over_surface(x64):
@@ -258,7 +275,7 @@ def test_gradients_over_angle_and_wavelength_are_central_differences(x64):
 
         def value(x, over_angle=at is half):
             h, wavelength = (x, jnp.array([500.0])) if over_angle else (half, x[:1])
-            return phase.value(h, wavelength)[:, 0]
+            return phase.at_haversine(h, wavelength)[:, 0]
 
         quick, slope = compiled(value), compiled(lambda x, t, f=value: jax.jvp(f, (x,), (t,))[1])(at, step)
         central = 0.5 * (quick(at + step) - quick(at - step))

@@ -14,7 +14,7 @@ SOLVER = skyfit.OrdersOfScattering.normal("flat")
 LIMITS = {"aerosol_optical_depth": 0.005, "angstrom_exponent": 0.05, "single_scattering_albedo": 0.02}
 HAZY = 0.2
 # both sides are scalar, flat, and agree on the height of the haze: what the default allows for is not there
-NOISE_ALONE = skyfit.Measurement(model_error=0.0)
+NOISE_ALONE = skyfit.NoiseModel(model_error=0.0)
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def test_haze_of_the_shared_oracles_skies_is_recovered(x64, shared):
 @pytest.mark.slow
 def test_haze_of_two_lobes_is_recovered_with_the_default_parameters(x64, sasktran2):
     truths = random_truths(6, seed=2, two_lobes=True)
-    found = Recovered([(truth, sasktran2_sky(truth), None) for truth in truths], 4, DEFAULT_FREE, skyfit.Measurement())
+    found = Recovered([(truth, sasktran2_sky(truth), None) for truth in truths], 4, DEFAULT_FREE, skyfit.NoiseModel())
     for name in (*LIMITS, "ground_albedo", "pointing_zenith", "pointing_azimuth"):
         error, sigma = found.of(name)
         assert np.mean(error <= 2.0 * sigma) >= 0.85, name

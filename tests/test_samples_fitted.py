@@ -22,7 +22,7 @@ def test_masked_samples_have_no_influence(with_sigma):
     usable = np.random.default_rng(3).uniform(size=clean.radiance.shape) > 0.3
     usable[:, 5], usable[:, :, 4] = False, False
     sky = replace(clean, usable=usable, sigma=clean.sigma if with_sigma else None)
-    exact = skyfit.Measurement(model_error=0.0, calibration=0.0)
+    exact = skyfit.NoiseModel(model_error=0.0, calibration=0.0)
     expected = skyfit.invert(sky, FREE, SOLVER, measurement=exact)
     assert expected.result == ("successful",)
     assert expected.used.sum() == usable.sum()

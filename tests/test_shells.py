@@ -165,7 +165,7 @@ def test_the_constant_blue_is_seen_through_the_haze(x64):
     clear = skyfit.Atmosphere(Rayleigh(), skyfit.Aerosol(0.0), None)
     at = {s: skyfit.Scene.from_degrees(s, views([0.0, 60.0, 88.0], [0.0, 90.0]), wavelength) for s in (0.0, 60.0)}
     sky = np.asarray(solver.radiance(clear, at[0.0]))
-    depth = np.asarray(Rayleigh().extinction(jnp.asarray(wavelength)))
+    depth = np.asarray(Rayleigh().optical_depth_at(jnp.asarray(wavelength)))
     expected = np.asarray(at[0.0].solar_irradiance) * (1.0 - np.exp(-depth)) / (4.0 * np.pi)
     np.testing.assert_allclose(sky, expected * np.ones((6, 1)), rtol=1e-12)
     np.testing.assert_allclose(solver.radiance(clear, at[60.0]), 0.5 * sky, rtol=1e-12)
@@ -471,12 +471,12 @@ def test_the_three_colours_of_coefficients_do_not_commute_with_the_integral(x64)
     def three_of(spectrum):
         return linear_rgb(spectrum, wavelength) / even
 
-    ozone = np.asarray(Ozone(300.0).extinction(jnp.asarray(wavelength)))
+    ozone = np.asarray(Ozone(300.0).optical_depth_at(jnp.asarray(wavelength)))
     assert three_of(ozone)[2] < 0.0 < three_of(ozone)[0]
     assert np.exp(-30.0 * three_of(ozone)[2]) > 1.05
     through = skyfit.xyz(jnp.asarray(np.exp(-30.0 * ozone)), wavelength) / skyfit.xyz(jnp.ones(33), wavelength)
     assert np.all(through < 1.0)
-    air = np.asarray(Rayleigh().extinction(jnp.asarray(wavelength)))
+    air = np.asarray(Rayleigh().optical_depth_at(jnp.asarray(wavelength)))
     assert np.all(three_of(air) > 0.0)
 
     def lights(coefficients, colours, sun):

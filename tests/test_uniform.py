@@ -79,7 +79,8 @@ def test_the_sky_is_the_integral_through_two_shells(x64, haze_length):
         found = Uniform().radiance(atmosphere, unit_scene(sun, views(zenith, azimuth), COLOURS))
         for i, nm in enumerate(COLOURS):
             air, haze, ozone = (
-                float(c.extinction(jnp.array([nm]))[0]) for c in (atmosphere.rayleigh, atmosphere.aerosol, Ozone())
+                float(c.optical_depth_at(jnp.array([nm]))[0])
+                for c in (atmosphere.rayleigh, atmosphere.aerosol, Ozone())
             )
             expected = [
                 shells_by_quadrature(
@@ -99,7 +100,7 @@ def test_a_path_is_equation_four_and_composites_by_equation_one(x64):
     distance = jnp.array([0.0, 2e3, 3e4])
     path = Uniform().path(atmosphere, scene, distance)
     scattering = np.array([8e-5, 1e-4, 1.2e-4])
-    air = np.asarray(AIR.extinction(jnp.asarray(RGB)), float) / 8400.0
+    air = np.asarray(AIR.optical_depth_at(jnp.asarray(RGB)), float) / 8400.0
     beta = air + scattering + 5e-5
     light = np.exp(-kasten(40.0) * (air * 8400.0 + (scattering + 5e-5) * 1250.0))
     for i, (zenith, way) in enumerate(zip([90.0, 60.0, 120.0], np.asarray(distance), strict=True)):
@@ -137,7 +138,7 @@ def test_absorption_darkens_and_a_long_path_forgets_the_object():
 def test_the_hazes_are_the_articles_table(x64, kind, betas):
     haze = skyfit.hoffman_haze(kind, RGB)
     np.testing.assert_allclose(haze.optical_depth / 1250.0, betas, rtol=1e-12)
-    np.testing.assert_allclose(haze.albedo(jnp.asarray(RGB)), 1.0)
+    np.testing.assert_allclose(haze.single_scattering_albedo_at(jnp.asarray(RGB)), 1.0)
     assert 0.0 < float(haze.phase.asymmetry) < 1.0
     spectrum = np.arange(380.0, 781.0, 10.0)
     smooth = np.asarray(skyfit.hoffman_haze(kind, spectrum).optical_depth)

@@ -22,7 +22,7 @@ import numpy as np
 import skyfit
 from experiments.benchmarks.tiers import HERE, made_with
 from skyfit.light import extraterrestrial_irradiance
-from skyfit.measured import Measurement
+from skyfit.measured import NoiseModel
 from skyfit.retrieve import simulate, SkyModel, start_model, with_values
 
 
@@ -38,7 +38,7 @@ DIRECTIONS, MOST_ZENITH_DEG = 30, 85.0
 WAVELENGTH_NM = np.linspace(380.0, 780.0, 8)
 NOISE, FWHM_NM, PRESSURE = 0.01, 6.0, 101325.0
 TRIED = 64
-MEASUREMENT = Measurement(model_error=0.0, calibration=0.0)
+MEASUREMENT = NoiseModel(model_error=0.0, calibration=0.0)
 
 
 def skies(count: int) -> tuple[skyfit.Sky, np.ndarray]:

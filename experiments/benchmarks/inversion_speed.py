@@ -21,7 +21,7 @@ import numpy as np
 import scipy.optimize
 
 import skyfit
-from skyfit.measured import Measurement
+from skyfit.measured import NoiseModel
 from skyfit.numerics import as_float
 from skyfit.retrieve import DEFAULT_FREE, start_model, with_values
 from skyfit.retrieve.forward import observe
@@ -34,7 +34,7 @@ HERE = pathlib.Path(__file__).resolve().parents[1]
 RESULT = HERE / "results" / "inversion_speed.json"
 GRID = 360.0 + 11.75 * np.arange(31)
 SCAN, REPEATS = 4, 5
-PLAIN = Measurement(loss="squares", calibration=0.0)
+PLAIN = NoiseModel(loss="squares", calibration=0.0)
 STARTS_FREE = (
     "aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo", "asymmetry", "ground_albedo",
 )  # fmt: skip
@@ -110,7 +110,7 @@ def over_sasktran2(sky: skyfit.Sky, calls: int, median: dict) -> dict:
     depth = 0.1 * (GRID / 550.0) ** -1.3
     flat = np.ones_like(GRID)
     optics = Optics(
-        np.asarray(skyfit.Rayleigh().extinction(as_float(GRID))), depth, 0.9 * flat, 0.7 * flat, 0.1, 0.1 * flat
+        np.asarray(skyfit.Rayleigh().optical_depth_at(as_float(GRID))), depth, 0.9 * flat, 0.7 * flat, 0.1, 0.1 * flat
     )
     view = View(np.linspace(0.0, 78.0, 8), np.linspace(0.0, 180.0, 10), float(np.degrees(sky.sun_zenith[0])))
     forward = prepare_sasktran2(optics, view, "DiscreteOrdinates", streams=16)
@@ -129,7 +129,7 @@ def starts(skies: int = 20, each: int = 25) -> dict:
     solver = skyfit.OrdersOfScattering.draft("flat")
     random = np.random.default_rng(7)
     wavelength, view = np.array([400.0, 440.0, 500.0, 550.0, 600.0, 650.0, 675.0, 710.0]), skyfit.hemisphere(30, 1.4)
-    exact = Measurement(model_error=0.0, calibration=0.0)
+    exact = NoiseModel(model_error=0.0, calibration=0.0)
     reached, beyond, flagged, unflagged, below_truth, steps = 0, 0, 0, 0, 0, []
     for number in range(skies):
         truth = [

@@ -91,7 +91,12 @@ def rival_optics(atmosphere: skyfit.Atmosphere, wavelength_nm: np.ndarray) -> Op
     assert air.phase is not None and haze.phase is not None
     second = float(jnp.ravel(air.phase.moments(3, spectrum)[2])[0])
     asymmetry = jnp.broadcast_to(haze.phase.moments(2, spectrum)[1], spectrum.shape)
-    each = air.extinction(spectrum), haze.extinction(spectrum), haze.albedo(spectrum), asymmetry
+    each = (
+        air.optical_depth_at(spectrum),
+        haze.optical_depth_at(spectrum),
+        haze.single_scattering_albedo_at(spectrum),
+        asymmetry,
+    )
     # copies: a view of an array of jax cannot be written to, and compiled rivals refuse it
     ground = np.array(atmosphere.ground.reflectance(spectrum), float)
     return Optics(*(np.array(v, float) for v in each), second, ground)

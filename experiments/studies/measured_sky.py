@@ -101,7 +101,7 @@ def compared(sky: skyfit.Sky) -> dict:
             "results": list(fit.result),
             "parameters": {p: fit.values[:, i].tolist() for i, p in enumerate(fit.free)},
             "haze": {
-                q: {"value": d.value.tolist(), "sigma": d.sigma.tolist()} for q, d in skyfit.haze_optics(fit).items()
+                q: {"value": d.value.tolist(), "sigma": d.sigma.tolist()} for q, d in skyfit.aerosol_optics(fit).items()
             },
         }
         if solver.polarised:

@@ -199,7 +199,7 @@ def sample() -> dict:
     """The shipped sample sky, made by sasktran2, inverted: truth, value and sigma of each parameter."""
     truth = json.loads((HERE.parent / "data" / "skies" / "sample_truth.json").read_text())["parameters"]
     # made by a polarised solver, with the haze at the height and of the polarisation that are assumed
-    measurement = skyfit.Measurement(model_error=0.001)
+    measurement = skyfit.NoiseModel(model_error=0.001)
     sky = skyfit.read(HERE.parent / "data" / "skies" / "sample.nc")
     fit = skyfit.invert(sky, FREE, measurement=measurement)
     parameters = {

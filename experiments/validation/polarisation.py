@@ -33,7 +33,7 @@ POLARISED = replace(SCALAR, polarised=True)
 # degrees from the sun
 BINS = np.arange(0.0, 166.0, 15.0)
 # stated for the model: the default stands for what a scalar one leaves out, the other for two solvers of one physics
-ALLOWED, SAME_PHYSICS = skyfit.Measurement(), skyfit.Measurement(model_error=0.0005)
+ALLOWED, SAME_PHYSICS = skyfit.NoiseModel(), skyfit.NoiseModel(model_error=0.0005)
 FITS = {
     "scalar": (SCALAR, ALLOWED),
     "scalar, no model error allowed for": (SCALAR, SAME_PHYSICS),

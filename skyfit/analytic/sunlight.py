@@ -94,7 +94,7 @@ class Sunlight(eqx.Module):
             jnp.interp(wavelength_nm, *map(as_float, preetham_absorption(name)))
             for name in ("water_absorption", "mixed_gas_absorption")
         )
-        ozone = Ozone(column=DOBSON_PER_METRE * self.ozone, table="preetham").extinction(wavelength_nm)
+        ozone = Ozone(column=DOBSON_PER_METRE * self.ozone, table="preetham").optical_depth_at(wavelength_nm)
         log_micrometre = jnp.log(wavelength_nm * 1e-3)
         # Iqbal 1983, after Leckner 1978
         rayleigh = 0.008735 * jnp.exp(-4.08 * log_micrometre)

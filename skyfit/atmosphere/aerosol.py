@@ -28,10 +28,10 @@ class Aerosol(AbstractConstituent):
     profile: AbstractProfile = eqx.field(default_factory=lambda: Exponential(HAZE_SCALE_HEIGHT))
     smooth_in_wavelength: ClassVar[bool] = True
 
-    def extinction(self, wavelength_nm):
+    def optical_depth_at(self, wavelength_nm):
         ratio = jnp.log(wavelength_nm / REFERENCE_WAVELENGTH)
         return self.optical_depth * jnp.exp(-self.angstrom_exponent * ratio)
 
-    def albedo(self, wavelength_nm):
+    def single_scattering_albedo_at(self, wavelength_nm):
         ratio = jnp.log(wavelength_nm / REFERENCE_WAVELENGTH)
         return jnp.clip(self.single_scattering_albedo + self.single_scattering_albedo_slope * ratio, 0.0, 1.0)

@@ -21,11 +21,11 @@ class AbstractConstituent(eqx.Module):
     smooth_in_wavelength: eqx.AbstractClassVar[bool]
 
     @abstractmethod
-    def extinction(self, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
+    def optical_depth_at(self, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
         """The vertical extinction optical depth from the ground to space."""
 
     @abstractmethod
-    def albedo(self, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
+    def single_scattering_albedo_at(self, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
         """The single-scattering albedo, in [0, 1]."""
 
 
@@ -42,7 +42,7 @@ class Prescribed(AbstractConstituent):
     single_scattering_albedo: Float[Array, "*wavelength"] = eqx.field(converter=as_float, default=1.0)
     smooth_in_wavelength: ClassVar[bool] = False
 
-    def extinction(self, wavelength_nm):
+    def optical_depth_at(self, wavelength_nm):
         if self.optical_depth.shape != wavelength_nm.shape:
             raise ValueError(
                 "`optical_depth` must be given at the scene's wavelengths, "
@@ -50,5 +50,5 @@ class Prescribed(AbstractConstituent):
             )
         return self.optical_depth
 
-    def albedo(self, wavelength_nm):
+    def single_scattering_albedo_at(self, wavelength_nm):
         return jnp.broadcast_to(self.single_scattering_albedo, wavelength_nm.shape)

@@ -64,14 +64,14 @@ class Droplets(AbstractConstituent):
         """One homogeneous layer."""
         return Layered(jnp.stack([jnp.zeros_like(self.thickness), self.thickness]), jnp.ones(1))
 
-    def extinction(self, wavelength_nm):
+    def optical_depth_at(self, wavelength_nm):
         def relative(wavelength):
             return hat_weights(wavelength, self.table_wavelength_nm) @ self.efficiency
 
         ratio = relative(wavelength_nm) / relative(jnp.full((1,), REFERENCE_WAVELENGTH))
         return self.coefficient * self.thickness * ratio
 
-    def albedo(self, wavelength_nm):
+    def single_scattering_albedo_at(self, wavelength_nm):
         return jnp.broadcast_to(jnp.clip(self.single_scattering_albedo, 0.0, 1.0), wavelength_nm.shape)
 
 

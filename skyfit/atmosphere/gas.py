@@ -32,10 +32,10 @@ class AbstractGas(AbstractConstituent):
     def absorption(self, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
         """The vertical optical depth of one unit of the column."""
 
-    def extinction(self, wavelength_nm):
+    def optical_depth_at(self, wavelength_nm):
         return self.absorption(wavelength_nm) * self.column
 
-    def albedo(self, wavelength_nm):
+    def single_scattering_albedo_at(self, wavelength_nm):
         return jnp.zeros_like(wavelength_nm)
 
 

@@ -180,7 +180,7 @@ class TwoModePhase(AbstractPhase):
         kernels = [value] + [value * self.modes.interpolated(name, weights) for name in ratios]
         return [kernel.T @ classes.T for kernel in kernels]
 
-    def value(self, haversine, wavelength_nm):
+    def at_haversine(self, haversine, wavelength_nm):
         (by_angle,) = self._by_angle(wavelength_nm)
         total = _moment_weights(1).astype(by_angle.dtype) @ by_angle
         return _angle_weights(jnp.clip(haversine, 0.0, 1.0)) @ _with_ends(by_angle / total)
@@ -268,9 +268,9 @@ class TwoModeAerosol(AbstractConstituent):
         radii = jnp.stack([self.fine_effective_radius, self.coarse_effective_radius])
         return jnp.sum(volumes) / jnp.sum(volumes / radii)
 
-    def extinction(self, wavelength_nm):
+    def optical_depth_at(self, wavelength_nm):
         return self.optical_depth * self._modes.depths(wavelength_nm)[0]
 
-    def albedo(self, wavelength_nm):
+    def single_scattering_albedo_at(self, wavelength_nm):
         extinction, scattering = self._modes.depths(wavelength_nm)
         return scattering / extinction

@@ -11,9 +11,9 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
-from ..numerics import as_float, associated_legendre, gauss_legendre, hat_weights, spin_legendre
+from ..numerics import as_float, associated_legendre, check_range, gauss_legendre, hat_weights, spin_legendre
 from ..tables import read_table
 
 
@@ -32,10 +32,24 @@ class AbstractPhase(eqx.Module):
     last_degree: eqx.AbstractClassVar[int | None]
 
     @abstractmethod
-    def value(
+    def at_haversine(
         self, haversine: Float[Array, " direction"], wavelength_nm: Float[Array, " wavelength"]
     ) -> Float[Array, " direction #wavelength"]:
-        """The phase function at angles from the forward direction, sr^-1."""
+        """The phase function in sr^-1 where sin^2 of half the angle from the forward direction is `haversine`."""
+
+    def at_angle(
+        self, angle: Float[ArrayLike, " direction"], wavelength_nm: Float[ArrayLike, " wavelength"]
+    ) -> Float[Array, " direction #wavelength"]:
+        """The phase function at scattering angles.
+
+        **Arguments** `angle`: from the forward direction, radians in [0, pi].
+
+        **Returns** sr^-1.
+
+        **Valid** concrete angles outside [0, pi] are a `ValueError`; traced ones are not checked.
+        """
+        check_range("angle", angle, 0.0, np.pi * (1.0 + 1e-6), "radians")
+        return self.at_haversine(jnp.sin(0.5 * as_float(angle)) ** 2, as_float(wavelength_nm))
 
     @abstractmethod
     def moments(self, count: int, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " moment #wavelength"]:
@@ -66,7 +80,7 @@ class AbstractPhase(eqx.Module):
         angle = np.pi * nodes
         half = as_float(np.sin(0.5 * angle) ** 2)
         r, t = (as_float(v) for v in spin_legendre(angle, 3, max(count, 1)))
-        weighted = self.value(half, wavelength_nm) * as_float(2.0 * np.pi**2 * weights * np.sin(angle))[:, None]
+        weighted = self.at_haversine(half, wavelength_nm) * as_float(2.0 * np.pi**2 * weights * np.sin(angle))[:, None]
         f12, f22, f33 = self.matrix(half, wavelength_nm) * weighted[None]
         alpha, zeta = (r[:, 2] @ a - t[:, 2] @ b for a, b in ((f22, f33), (f33, f22)))
         return jnp.stack([alpha, r[:, 0] @ f12, zeta])
@@ -94,7 +108,7 @@ class RayleighPhase(AbstractPhase):
     depolarization: Float[Array, ""] = eqx.field(converter=as_float, default=0.0279)
     last_degree: ClassVar[int | None] = 2
 
-    def value(self, haversine, wavelength_nm):
+    def at_haversine(self, haversine, wavelength_nm):
         spread = self.depolarization / (2.0 - self.depolarization)
         cosine = 1.0 - 2.0 * haversine[:, None]
         scale = 3.0 / (16.0 * np.pi * (1.0 + 2.0 * spread))
@@ -132,7 +146,7 @@ class HenyeyGreenstein(AbstractPhase):
     polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION)
     last_degree: ClassVar[int | None] = None
 
-    def value(self, haversine, wavelength_nm):
+    def at_haversine(self, haversine, wavelength_nm):
         return _henyey_greenstein(haversine, self.asymmetry)[:, None]
 
     def moments(self, count, wavelength_nm):
@@ -161,7 +175,7 @@ class TwoTermHenyeyGreenstein(AbstractPhase):
         ratio = jnp.log(wavelength_nm / REFERENCE_WAVELENGTH)
         return jnp.clip(self.forward_fraction + self.forward_fraction_slope * ratio, 0.0, 1.0)[None]
 
-    def value(self, haversine, wavelength_nm):
+    def at_haversine(self, haversine, wavelength_nm):
         first = _henyey_greenstein(haversine, self.asymmetry)[:, None]
         second = _henyey_greenstein(haversine, self.asymmetry_second)[:, None]
         return second + self._fraction(wavelength_nm) * (first - second)
@@ -185,7 +199,7 @@ class CornetteShanks(AbstractPhase):
     polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION)
     last_degree: ClassVar[int | None] = None
 
-    def value(self, haversine, wavelength_nm):
+    def at_haversine(self, haversine, wavelength_nm):
         cosine = 1.0 - 2.0 * haversine
         scale = 1.5 / (2.0 + self.asymmetry**2)
         return (scale * (1.0 + cosine**2) * _henyey_greenstein(haversine, self.asymmetry))[:, None]
@@ -246,7 +260,7 @@ class Tabulated(AbstractPhase):
         legendre = associated_legendre(angle, 1, max(count, 1))[:, 0]
         return (as_float(legendre) * solid_angle[None]) @ values
 
-    def value(self, haversine, wavelength_nm):
+    def at_haversine(self, haversine, wavelength_nm):
         return self._unnormalised(haversine, wavelength_nm) / self._quadrature(1, wavelength_nm)
 
     def moments(self, count, wavelength_nm):

@@ -23,12 +23,12 @@ class AbstractProfile(eqx.Module):
     """The shape of a column, normalised to one; heights in metres above the ground."""
 
     @abstractmethod
-    def above(self, height: Float[Array, "..."]) -> Float[Array, "..."]:
+    def column_above(self, height: Float[Array, "..."]) -> Float[Array, "..."]:
         """The share of the column above `height` (m), 1 at the ground, 0 in space."""
 
     @abstractmethod
     def density(self, height: Float[Array, "..."]) -> Float[Array, "..."]:
-        """The normalised density, m^-1: minus the derivative of `above`."""
+        """The normalised density, m^-1: minus the derivative of `column_above`."""
 
     @abstractmethod
     def reach(self) -> Float[Array, ""]:
@@ -40,7 +40,7 @@ class Exponential(AbstractProfile):
 
     scale_height: Float[Array, ""] = eqx.field(converter=as_float)
 
-    def above(self, height):
+    def column_above(self, height):
         return jnp.exp(-height / self.scale_height)
 
     def density(self, height):
@@ -60,13 +60,13 @@ class OzoneLayer(AbstractProfile):
     height: Float[Array, ""] = eqx.field(converter=as_float, default=20e3)
     thickness: Float[Array, ""] = eqx.field(converter=as_float, default=5e3)
 
-    def above(self, height):
+    def column_above(self, height):
         whole = jax.nn.sigmoid(self.height / self.thickness)
         return jax.nn.sigmoid((self.height - height) / self.thickness) / whole
 
     def density(self, height):
         beyond = jax.nn.sigmoid((height - self.height) / self.thickness)
-        return self.above(height) * beyond / self.thickness
+        return self.column_above(height) * beyond / self.thickness
 
     def reach(self):
         return self.height
@@ -92,7 +92,7 @@ class Layered(AbstractProfile):
     def _share(self):
         return self.fraction / jnp.sum(self.fraction)
 
-    def above(self, height):
+    def column_above(self, height):
         below = jnp.concatenate([jnp.zeros_like(self.fraction[:1]), jnp.cumsum(self._share())])
         return 1.0 - hat_weights(height, self.edges) @ below
 
@@ -151,7 +151,7 @@ class Levels(AbstractProfile):
         log = log - log[0]
         return log - jnp.log(jnp.sum(jnp.diff(self.height) * jnp.exp(log[:-1]) * phi1(log[:-1] - log[1:])))
 
-    def above(self, height):
+    def column_above(self, height):
         log = self.log_density()
         layer = jnp.diff(self.height) * jnp.exp(log[:-1]) * phi1(log[:-1] - log[1:])
         over = jnp.concatenate([jnp.cumsum(layer[::-1])[::-1][1:], jnp.zeros_like(layer[:1])])

@@ -75,12 +75,12 @@ class Rayleigh(AbstractConstituent):
         if self.formula not in ("bodhaine", "paper"):
             raise ValueError(f'`formula` must be "bodhaine" or "paper", got {self.formula!r}')
 
-    def extinction(self, wavelength_nm):
+    def optical_depth_at(self, wavelength_nm):
         if self.formula == "paper":
             sea_level = paper_scattering_coefficient(wavelength_nm) * AIR_OPTICAL_LENGTH
         else:
             sea_level = bodhaine_optical_depth(wavelength_nm)
         return sea_level * (self.pressure / SEA_LEVEL_PRESSURE)
 
-    def albedo(self, wavelength_nm):
+    def single_scattering_albedo_at(self, wavelength_nm):
         return jnp.ones_like(wavelength_nm)

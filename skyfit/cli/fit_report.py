@@ -4,7 +4,7 @@ import numpy as np
 
 from ..atmosphere import TwoModeAerosol
 from ..measured import time_names
-from ..retrieve import Fit, haze_optics, PARAMETERS
+from ..retrieve import aerosol_optics, Fit, PARAMETERS
 from .models import in_words
 from .printing import console, table
 
@@ -154,7 +154,7 @@ def _haze(fit: Fit):
     atmosphere = fit.start.atmosphere
     if not ("aerosol" in atmosphere and isinstance(atmosphere.aerosol, TwoModeAerosol)):
         return
-    optics = haze_optics(fit)
+    optics = aerosol_optics(fit)
 
     def told(name):
         value, sigma, unit = optics[name]

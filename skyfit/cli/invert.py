@@ -30,7 +30,7 @@ FreeOption = Annotated[
     str, typer.Option(help=f"with commas: particles (sizes and index of spheres) or of {', '.join(PARAMETER_NAMES)}")
 ]
 DEFAULT_FREE_TEXT = ",".join(DEFAULT_FREE)
-# degrees; `Measurement` ends at half a radian
+# degrees; `NoiseModel` ends at half a radian
 _WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 
 
@@ -72,7 +72,7 @@ def invert_command(
     from math import radians
 
     from ..draw import plot
-    from ..measured import Measurement
+    from ..measured import NoiseModel
     from ..records import save
     from ..retrieve import invert
     from .asked import names_in, priors_of, response_of, shared_of, smooth_of, start_of
@@ -82,7 +82,7 @@ def invert_command(
 
     names, smoothed = names_in(free), smooth_of(smooth or [])
     view = radians(in_range("--field-of-view", field_of_view, 0.0, _WIDEST_VIEW))
-    measurement = Measurement(relative, floor, calibration, model_error, view, loss.value, threshold)
+    measurement = NoiseModel(relative, floor, calibration, model_error, view, loss.value, threshold)
     in_range("--starts", float(starts), 1.0, _MOST_STARTS)
     priors, channels = priors_of(prior or []), response_of(response)
     measured = _read(sky, latitude, longitude, utc_offset, altitude, fwhm)

@@ -13,6 +13,6 @@ DEFAULT_FREE = (
     "asymmetry_second", "forward_fraction", "forward_fraction_slope", "ground_albedo", "pointing_zenith",
     "pointing_azimuth",
 )  # fmt: skip
-# of `Measurement`, in sigma
+# of `NoiseModel`, in sigma
 THRESHOLD = 3.0
 SEA_LEVEL_PRESSURE = 101325.0  # Pa

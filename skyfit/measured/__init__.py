@@ -1,4 +1,4 @@
-from .noise import Measurement as Measurement
+from .noise import NoiseModel as NoiseModel
 from .readers import read as read, read_directions as read_directions, read_response as read_response
 from .response import LineShape as LineShape, Response as Response, Seen as Seen
 from .samples import (

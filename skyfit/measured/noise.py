@@ -18,7 +18,7 @@ _CALIBRATION = 0.01
 
 
 @dataclass(frozen=True)
-class Measurement:
+class NoiseModel:
     """What is known of how a sky was measured.
 
     - `relative`, `floor`: standard deviation of a sample's noise, as a share of the sample and of the time's median

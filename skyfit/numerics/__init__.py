@@ -24,3 +24,4 @@ from .legendre import (
     spin_legendre as spin_legendre,
 )
 from .quadrature import gauss_legendre as gauss_legendre
+from .ranges import check_range as check_range, concrete as concrete, Ranged as Ranged, ranged as ranged

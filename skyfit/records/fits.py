@@ -18,13 +18,13 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from ..measured import atomic, Measurement, Response, Sky
+from ..measured import atomic, NoiseModel, Response, Sky
 from ..measured.readers.netcdf import load_dataset
 from ..measured.units import RADIANCE
 from ..measured.writing import skyfit_version
 from ..numerics import as_float
 from ..retrieve import DEFAULT_FREE, Fits, PARAMETERS, SkyModel
-from ..retrieve.batch import assemble, fit_chunks, RESULTS
+from ..retrieve.batch import fit_chunks, fits_of_parts, RESULTS
 from ..retrieve.parameters import fixed_values
 from ..retrieve.prepared import Prepared, prepared
 from ..transport import AbstractSolver
@@ -65,7 +65,7 @@ def fit_many(
     *,
     chunk: int = 32,
     batch_size: int = 1,
-    measurement: Measurement | None = None,
+    measurement: NoiseModel | None = None,
     response: Response | None = None,
     priors: Mapping[str, tuple[float, float]] | None = None,
     draft: AbstractSolver | None = None,
@@ -110,7 +110,7 @@ def fit_many(
         chunks.append(part)
         if progress is not None:
             progress(sum(len(part["index"]) for part in chunks), times)
-    fits = assemble(
+    fits = fits_of_parts(
         sky, asked.free, sky.wavelength_nm[asked.chosen], chunks, fixed_values(asked.start, asked.free), settings
     )
     if target is not None and parts is not None:

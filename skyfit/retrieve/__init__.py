@@ -1,4 +1,4 @@
-from .aerosol_optics import Derived as Derived, haze_optics as haze_optics
+from .aerosol_optics import aerosol_optics as aerosol_optics, Derived as Derived
 from .batch import Fits as Fits
 from .design import (
     Choice as Choice,

@@ -26,7 +26,7 @@ class Derived(NamedTuple):
     unit: str
 
 
-def haze_optics(fit: Fit) -> dict[str, Derived]:
+def aerosol_optics(fit: Fit) -> dict[str, Derived]:
     r"""The optics of a fitted haze by name, as sun photometers state them.
 
     At 440, 675 and 870 nm `aerosol_optical_depth_*`, `single_scattering_albedo_*` and `asymmetry_*`, the mean cosine of
@@ -66,7 +66,7 @@ def _unit(name: str) -> str:
 def _numbers(model: SkyModel) -> dict:
     aerosol = model.atmosphere.aerosol
     wavelength = as_float(_WAVELENGTHS)
-    depth, albedo = aerosol.extinction(wavelength), aerosol.albedo(wavelength)
+    depth, albedo = aerosol.optical_depth_at(wavelength), aerosol.single_scattering_albedo_at(wavelength)
     asymmetry = jnp.broadcast_to(aerosol.phase.moments(2, wavelength)[1], wavelength.shape)
     numbers = {
         f"{name}_{nm:.0f}": rows[i]

@@ -243,7 +243,7 @@ def _columns(asked: Prepared, index: np.ndarray, ends: list[str], notes: list[st
     }
 
 
-def assemble(
+def fits_of_parts(
     sky: Sky,
     free: tuple[str, ...],
     fitted_nm: np.ndarray,

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import equinox as eqx
 import numpy as np
 
-from ..measured import Measurement, Response, Sky
+from ..measured import NoiseModel, Response, Sky
 from ..numerics.chain import Point
 from ..transport import AbstractSolver
 from .model import SkyModel
@@ -27,7 +27,7 @@ def invert(
     progress: Callable[[int, int], None] | None = None,
     *,
     shared: Sequence[str] = (),
-    measurement: Measurement | None = None,
+    measurement: NoiseModel | None = None,
     response: Response | None = None,
     priors: Mapping[str, tuple[float, float]] | None = None,
     smooth: Mapping[str, float] | None = None,
@@ -48,7 +48,7 @@ def invert(
       channels of a camera or photometer, if the sky has none (`Sky.with_response`)
     - `shared`: free names that all times have in common (`SLOW` names those that do not change within a day); none:
       each time is fitted by itself
-    - `measurement`: noise, calibration, field of view, outliers (`Measurement`)
+    - `measurement`: noise, calibration, field of view, outliers (`NoiseModel`)
     - `priors`: name -> (value, sigma) in the parameter's unit; of a positive parameter sigma / value is that of its
       logarithm. `smooth`: name -> sigma of its change within an hour, on the same scale, for names that are not shared
     - `draft`: solver of the slopes (default: `solver` itself, which compiles once; a coarser one runs faster)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..light.solar import SPECTRUM_NM
-from ..measured import Measurement, Response, Sky
+from ..measured import NoiseModel, Response, Sky
 from ..measured.quality.oddities import examine
 from ..measured.samples import station_pressure, STATION_RANGES
 from ..numerics import as_float
@@ -42,7 +42,7 @@ class Prepared:
     solver: AbstractSolver
     slopes: AbstractSolver | None
     start: SkyModel
-    measurement: Measurement
+    measurement: NoiseModel
     priors: dict[str, tuple[float, float]]
     smooth: dict[str, float]
     max_steps: int
@@ -84,7 +84,7 @@ def prepared(
     fwhm_nm: float | None = None,
     max_steps: int = 100,
     shared: Sequence[str] = (),
-    measurement: Measurement | None = None,
+    measurement: NoiseModel | None = None,
     response: Response | None = None,
     priors: Mapping[str, tuple[float, float]] | None = None,
     smooth: Mapping[str, float] | None = None,
@@ -96,7 +96,7 @@ def prepared(
     """
     free, shared = tuple(free), tuple(shared)
     sky = sky.with_response(response)
-    measurement = Measurement() if measurement is None else measurement
+    measurement = NoiseModel() if measurement is None else measurement
     # colours of a camera are told less by polarisation than by what its channels really are
     solver = OrdersOfScattering.normal(polarised=sky.response is None) if solver is None else solver
     pressure, assumed = station_pressure(sky)

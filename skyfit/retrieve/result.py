@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..measured import Measurement, Response, Sky, time_names
+from ..measured import NoiseModel, Response, Sky, time_names
 from ..transport import AbstractSolver
 from .model import SkyModel
 from .parameters import fixed_values, PARAMETERS, with_values
@@ -71,7 +71,7 @@ class Fit:
     undetermined: tuple[tuple[str, ...], ...]
     start: SkyModel
     fwhm_nm: float
-    measurement: Measurement
+    measurement: NoiseModel
     shared: tuple[str, ...] = ()
     priors: dict[str, tuple[float, float]] = field(default_factory=dict)
     smooth: dict[str, float] = field(default_factory=dict)

@@ -5,7 +5,7 @@ import numpy as np
 
 from ..light import earth_sun_factor
 from ..light.solar import SPECTRUM_NM
-from ..measured import LineShape, Measurement, Response, Seen, Sky
+from ..measured import LineShape, NoiseModel, Response, Seen, Sky
 from ..measured.quality.line_shape import estimate_fwhm
 from ..measured.samples import day_of_year
 from ..numerics import as_float
@@ -71,7 +71,7 @@ class Sampling:
             return candidates
         return candidates[np.linspace(0, candidates.size - 1, _MOST_WAVELENGTHS).round().astype(int)]
 
-    def problem(self, chosen: np.ndarray, measurement: Measurement) -> tuple[Problem, np.ndarray]:
+    def problem(self, chosen: np.ndarray, measurement: NoiseModel) -> tuple[Problem, np.ndarray]:
         """The samples at the chosen wavelengths, and the directions that each time has any of, `[time, direction]`.
 
         Directions that a time does not use are left out of it, a quarter of all or none, so that skies with other masks

@@ -5,8 +5,8 @@ from .air import (
 )
 from .contract import (
     AbstractSolver as AbstractSolver,
-    Fluxes as Fluxes,
     Geometry as Geometry,
+    Irradiances as Irradiances,
     Path as Path,
     Stokes as Stokes,
 )

@@ -137,7 +137,7 @@ def levels_column(profile: Levels, height, cosine):
 def outward_column(profile: AbstractProfile, height, cosine, geometry: Geometry):
     """As `slant_column` for a ray that climbs: valid for `cosine` >= 0 only, at half its cost."""
     if geometry == "flat":
-        return profile.above(height) / jnp.maximum(cosine, MIN_COSINE)
+        return profile.column_above(height) / jnp.maximum(cosine, MIN_COSINE)
     leaves, tree = jax.tree.flatten(profile)
     if any(leaf.ndim for leaf in leaves):
         return _spherical_column(profile, height, cosine)

@@ -17,7 +17,7 @@ Geometry = Literal["flat", "spherical"]
 POLARISED_ERROR, SCALAR_ERROR = 0.003, 0.007
 
 
-class Fluxes(NamedTuple):
+class Irradiances(NamedTuple):
     """Irradiance on the horizontal ground, W m^-2 nm^-1, `[wavelength]` each.
 
     `up_at_top`, what leaves the top of the atmosphere, None where the tier does not know it.
@@ -95,7 +95,7 @@ class AbstractSolver(eqx.Module):
         """Diffuse sky radiance, W m^-2 sr^-1 nm^-1; zero for directions below the horizon."""
 
     @abstractmethod
-    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
+    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Direct, diffuse downward and upward irradiance on the ground."""
 
 

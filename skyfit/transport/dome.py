@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ..atmosphere import Atmosphere
 from ..numerics import gauss_legendre
 from ..scene import Directions, Scene
-from .contract import Fluxes
+from .contract import Irradiances
 
 
 def fluxes_by_quadrature(
@@ -18,17 +18,17 @@ def fluxes_by_quadrature(
     scene: Scene,
     sunlight: Float[Array, " wavelength"],
     rings: int = 8,
-) -> Fluxes:
+) -> Irradiances:
     """Irradiance on the ground of a sky that is known by its radiance.
 
     **Arguments:** `radiance` of a scene, W m^-2 sr^-1 nm^-1; `sunlight` at the ground normal to its beam,
-    W m^-2 nm^-1; `rings` of the quadrature. **Returns:** `Fluxes` of an observer on the ground.
+    W m^-2 nm^-1; `rings` of the quadrature. **Returns:** `Irradiances` of an observer on the ground.
     """
     view, weight = dome(rings, 16)
     sky = Scene(scene.sun_zenith, scene.sun_azimuth, view, scene.wavelength_nm, scene.solar_irradiance)
     diffuse = jnp.asarray(weight, scene.wavelength_nm.dtype) @ radiance(sky)
     direct = sunlight * jnp.maximum(jnp.cos(scene.sun_zenith), 0.0)
-    return Fluxes(direct, diffuse, atmosphere.ground.reflectance(scene.wavelength_nm) * (direct + diffuse))
+    return Irradiances(direct, diffuse, atmosphere.ground.reflectance(scene.wavelength_nm) * (direct + diffuse))
 
 
 def dome(rings: int, azimuths: int) -> tuple[Directions, np.ndarray]:

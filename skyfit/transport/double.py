@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from ..atmosphere import Atmosphere, Ground
 from ..scene import Scene
-from .contract import AbstractSolver, check_geometry, check_on_ground, Fluxes, Geometry, SCALAR_ERROR
+from .contract import AbstractSolver, check_geometry, check_on_ground, Geometry, Irradiances, SCALAR_ERROR
 from .optics import optics, scatterer_indices, transmitted_sun
 from .orders.layering import Resolution
 from .orders.solver import streamed_light
@@ -69,7 +69,7 @@ class DoubleScattering(AbstractSolver):
         return streamed_light(_over_black(atmosphere), scene, self._resolution(1), self.nodes, self.spectral_nodes)[0]
 
     @eqx.filter_jit
-    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
+    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground: the direct beam, the light scattered once or twice, the ground's reflection."""
         check_on_ground(scene, "DoubleScattering")
         constituents, irradiance = atmosphere.constituents, scene.solar_irradiance
@@ -81,7 +81,7 @@ class DoubleScattering(AbstractSolver):
             _, field = diffuse_field(_over_black(atmosphere), scene, scene.wavelength_nm, self._resolution(2))
             # where little comes through thick layers, their slopes may undershoot
             diffuse = irradiance * jnp.maximum(field.ground_flux, 0.0)
-        return Fluxes(direct, diffuse, atmosphere.ground.reflectance(scene.wavelength_nm) * (direct + diffuse))
+        return Irradiances(direct, diffuse, atmosphere.ground.reflectance(scene.wavelength_nm) * (direct + diffuse))
 
     def _resolution(self, orders: int) -> Resolution:
         return Resolution(self.streams, self.modes, self.levels, orders, self.geometry, complete=False)

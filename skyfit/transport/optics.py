@@ -23,9 +23,12 @@ def optics(constituents: tuple[AbstractConstituent, ...], wavelength_nm: Float[A
     if not constituents:
         empty = jnp.zeros((0, *wavelength_nm.shape), wavelength_nm.dtype)
         return Optics(empty, empty)
-    extinction = jnp.stack([c.extinction(wavelength_nm) for c in constituents])
+    extinction = jnp.stack([c.optical_depth_at(wavelength_nm) for c in constituents])
     albedo = jnp.stack(
-        [jnp.zeros_like(wavelength_nm) if c.phase is None else c.albedo(wavelength_nm) for c in constituents]
+        [
+            jnp.zeros_like(wavelength_nm) if c.phase is None else c.single_scattering_albedo_at(wavelength_nm)
+            for c in constituents
+        ]
     )
     return Optics(extinction, extinction * albedo)
 

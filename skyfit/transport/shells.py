@@ -11,7 +11,7 @@ from ..atmosphere import AbstractConstituent, Atmosphere
 from ..numerics import exp_mean, gauss_legendre, safe_sqrt
 from ..scene import above_horizon, haversine, Scene
 from .columns import EARTH_RADIUS, height_gain, length_scale, MIN_COSINE, slant_column
-from .contract import AbstractSolver, check_geometry, check_on_ground, Fluxes, Geometry, Path, SCALAR_ERROR
+from .contract import AbstractSolver, check_geometry, check_on_ground, Geometry, Irradiances, Path, SCALAR_ERROR
 from .dome import fluxes_by_quadrature
 from .optics import optics, scatterer_indices
 
@@ -24,7 +24,7 @@ _FAR = 1e9
 _LEVEL_COSINE = 1e-7
 
 
-class Layers(NamedTuple):
+class ShellLayers(NamedTuple):
     """Homogeneous layers from the ground up, one for each constituent that scatters.
 
     `top` in m; `extinction` and `scattering` coefficients in m^-1; `level` the tops in ascending order;
@@ -38,21 +38,23 @@ class Layers(NamedTuple):
     present: Array
 
 
-def layers(constituents: tuple[AbstractConstituent, ...], wavelength_nm: Float[Array, " wavelength"]) -> Layers:
+def layers(constituents: tuple[AbstractConstituent, ...], wavelength_nm: Float[Array, " wavelength"]) -> ShellLayers:
     r"""The layer with a constituent's column and its density at the ground, $R - R_E = \tau / (\tau \rho(0))$.
 
-    **Arguments:** `constituents` that scatter, one at least. **Returns:** `Layers`.
+    **Arguments:** `constituents` that scatter, one at least. **Returns:** `ShellLayers`.
     **Valid:** profiles whose density at the ground exceeds 1e-6 m^-1; layers aloft do not fit the model.
     **Source:** Klassen 1987, sec. 6: a reduced, "effective" radius stands for the density's fall with height.
     """
     ground = jnp.zeros_like(wavelength_nm[0])
-    density = jnp.stack([jnp.maximum(c.profile.density(ground) / c.profile.above(ground), 0.0) for c in constituents])
+    density = jnp.stack(
+        [jnp.maximum(c.profile.density(ground) / c.profile.column_above(ground), 0.0) for c in constituents]
+    )
     top = 1.0 / jnp.maximum(density, _MIN_DENSITY)
     extinction, scattering = optics(constituents, wavelength_nm)
     # by rank, not by height: where two tops are equal the gradient is that of one order, and right
     rank = jnp.argsort(jnp.argsort(top))
     present = rank[None] >= jnp.arange(top.shape[0])[:, None]
-    return Layers(top, extinction / top[:, None], scattering / top[:, None], jnp.sort(top), present)
+    return ShellLayers(top, extinction / top[:, None], scattering / top[:, None], jnp.sort(top), present)
 
 
 def sun_transmittance(
@@ -74,7 +76,7 @@ def sun_transmittance(
     for c in constituents:
         if c.phase is None:
             column = slant_column(c.profile, jnp.zeros_like(cosine), cosine, geometry)
-            depth = depth + column * c.extinction(scene.wavelength_nm)
+            depth = depth + column * c.optical_depth_at(scene.wavelength_nm)
     places = scatterer_indices(constituents)
     if places:
         air = layers(tuple(constituents[i] for i in places), scene.wavelength_nm)
@@ -92,7 +94,7 @@ def _sun_path(height, cosine, geometry: Geometry):
     return length_scale(EARTH_RADIUS, cosine, height)
 
 
-def shell_integral(air: Layers, scene: Scene, nodes: int) -> Float[Array, "direction constituent wavelength"]:
+def shell_integral(air: ShellLayers, scene: Scene, nodes: int) -> Float[Array, "direction constituent wavelength"]:
     r"""What a unit of scattering of each constituent sends to the ground along each view, m.
 
     $\int e^{-\sum \beta_c (d_{sun,c}(r) + d_{view,c}(l))} dl$ by Gauss nodes in $l$ on each layer's piece of the view.
@@ -135,7 +137,7 @@ def _toward_sun(height, sunward, top, inside):
 
 
 def layer_path(
-    air: Layers, scene: Scene, distance: Float[Array, " direction"], beam: bool = True
+    air: ShellLayers, scene: Scene, distance: Float[Array, " direction"], beam: bool = True
 ) -> tuple[Array, Array]:
     r"""The closed form through layers of constant density over a flat Earth, for any eye and any view.
 
@@ -243,7 +245,7 @@ class Shells(AbstractSolver):
         return _radiance(self, atmosphere, scene)
 
     @eqx.filter_jit
-    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
+    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground: the sun's colour (eq. 22), the sky by quadrature, the ground's reflection."""
         check_on_ground(scene, "Shells")
         beam = sun_transmittance(atmosphere.constituents, scene, self.geometry)
@@ -278,12 +280,12 @@ def _absorbers(atmosphere: Atmosphere) -> tuple[AbstractConstituent, ...]:
     return tuple(c for c in atmosphere.constituents if c.phase is None)
 
 
-def _scattered(integral, air: Layers, constituents, scene: Scene):
+def _scattered(integral, air: ShellLayers, constituents, scene: Scene):
     """The sum over constituents of phase function, scattering coefficient and integral."""
     half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)
     total = jnp.zeros_like(integral[:, 0])
     for i, c in enumerate(constituents):
-        total = total + c.phase.value(half, scene.wavelength_nm) * air.scattering[i][None] * integral[:, i]
+        total = total + c.phase.at_haversine(half, scene.wavelength_nm) * air.scattering[i][None] * integral[:, i]
     return total
 
 
@@ -330,7 +332,7 @@ def _radiance(solver: Shells, atmosphere: Atmosphere, scene: Scene):
     return jnp.where(above, _scattered(integral, air, scatterers, scene) * beam[None] + blue, 0.0)
 
 
-def _constant_blue(air: Layers, haze, scene: Scene):
+def _constant_blue(air: ShellLayers, haze, scene: Scene):
     """Klassen's blue, the fraction of each wavelength that air scatters, behind the haze (opacity eq. 31)."""
     cosine = jnp.maximum(jnp.cos(scene.view.zenith), 0.0)
     beneath = jnp.where(haze[None], length_scale(EARTH_RADIUS, cosine[:, None], air.top[None]), 0.0) @ air.extinction

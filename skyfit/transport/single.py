@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ..atmosphere import AbstractConstituent, Atmosphere, Layered
 from ..scene import Scene
 from .columns import slant_columns
-from .contract import AbstractSolver, check_geometry, Fluxes, Geometry, Path, SCALAR_ERROR, Stokes
+from .contract import AbstractSolver, check_geometry, Geometry, Irradiances, Path, SCALAR_ERROR, Stokes
 from .dome import fluxes_by_quadrature
 from .optics import optics, scatterer_indices, transmitted_sun
 from .views import end_points, eye_columns, lit_points, Views, views_of
@@ -47,7 +47,7 @@ def _scattered_once(
     total, polarised = jnp.zeros_like(integral[:, 0]), jnp.zeros_like(integral[:, 0])
     for row, i in enumerate(scatterer_indices(constituents)):
         phase = constituents[i].phase
-        light = phase.value(views.half_angle, scene.wavelength_nm) * scattering[i][None] * integral[:, row]
+        light = phase.at_haversine(views.half_angle, scene.wavelength_nm) * scattering[i][None] * integral[:, row]
         total = total + light
         if stokes:
             polarised = polarised + phase.matrix(views.half_angle, scene.wavelength_nm)[0] * light
@@ -187,7 +187,7 @@ class SingleScattering(AbstractSolver):
         return Path(jnp.exp(-depth), inscatter)
 
     @eqx.filter_jit
-    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
+    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground: the direct beam, the sky by quadrature, the ground's reflection."""
         extinction = optics(atmosphere.constituents, scene.wavelength_nm).extinction
         beam = transmitted_sun(atmosphere.constituents, scene, extinction, self.geometry)

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ..atmosphere import AbstractConstituent, Atmosphere
 from ..numerics import phi1
 from ..scene import above_horizon, haversine, relative_airmass, Scene
-from .contract import AbstractSolver, check_on_ground, Fluxes, Geometry, Path, SCALAR_ERROR
+from .contract import AbstractSolver, check_on_ground, Geometry, Irradiances, Path, SCALAR_ERROR
 from .dome import fluxes_by_quadrature
 from .optics import optics
 
@@ -70,7 +70,7 @@ class Uniform(AbstractSolver):
         return _radiance(atmosphere, scene)
 
     @eqx.filter_jit
-    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
+    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground: the direct beam, the sky by quadrature, the ground's reflection."""
         check_on_ground(scene, "Uniform")
         sunlight = _sun(atmosphere.constituents, scene)
@@ -114,7 +114,7 @@ def _shells(constituents: tuple[AbstractConstituent, ...], scene: Scene) -> _She
             # a layer that begins above the ground has no density there: a very long shell keeps its column
             density = jnp.maximum(c.profile.density(ground), 1e-9)
             extinction.append(depth.extinction[i] * density)
-            scattered.append(c.phase.value(half, scene.wavelength_nm) * (depth.scattering[i] * density)[None])
+            scattered.append(c.phase.at_haversine(half, scene.wavelength_nm) * (depth.scattering[i] * density)[None])
             length.append(1.0 / density)
     if not length:
         return _Shells(depth.extinction[:0], depth.extinction[:0, None], depth.extinction[:0, 0])

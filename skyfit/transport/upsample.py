@@ -160,5 +160,5 @@ def _log_phase(atmosphere: Atmosphere, scene: Scene, geometry: Geometry) -> Floa
     half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)
     for (c, phase, scattering), levels, light in zip(scatterers, height, sunlight, strict=True):
         share = weight * c.profile.reach() * c.profile.density(levels)
-        total = total + phase.value(half, wavelength) * (scattering * (share @ light))[None]
+        total = total + phase.at_haversine(half, wavelength) * (scattering * (share @ light))[None]
     return jnp.log(jnp.where(total > 0.0, total, 1.0))

@@ -9,7 +9,7 @@ from ..samples import Sky, time_names
 # root mean square residual by the mean radiance; the eight scans of 2013-05-27 have 0.06 to 0.09
 POOR = 0.25
 # and by sigma: of a file that states it, and of the noise that is taken where it does not, by which those scans have
-# 0.9 to 1.7 (`Measurement`)
+# 0.9 to 1.7 (`NoiseModel`)
 _LARGE_STATED, _LARGE_ASSUMED = 2.0, 3.0
 
 

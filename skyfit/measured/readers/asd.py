@@ -8,7 +8,7 @@ import numpy as np
 
 from ..samples import Sky
 from .grid import Axis, fill, repeated
-from .screening import assemble, Contents
+from .screening import Contents, screened
 
 
 _SUFFIX = ".asd.rad.txt"
@@ -80,7 +80,7 @@ def read_asd(path: Path, station: dict[str, float], utc_offset: float | int | No
     unknown = np.full(len(times), np.nan)
     local = np.array(times.values(), dtype="datetime64[ns]")
     behind = np.timedelta64(timedelta(hours=float(utc_offset)))
-    return assemble(
+    return screened(
         Contents(
             name=name,
             radiance=radiance,

@@ -7,7 +7,7 @@ import numpy as np
 from ..response import Response
 from ..samples import Sky
 from ..units import IRRADIANCE, irradiance_factor, is_nanometre, is_radian, RADIANCE, radiance_factor
-from .screening import assemble, Contents
+from .screening import Contents, screened
 
 
 AXES = ("time", "direction", "wavelength")
@@ -66,7 +66,7 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
     notes += converted
     found = _station(name, data)
     found.update(station)
-    return assemble(
+    return screened(
         Contents(
             name=name,
             radiance=_numbers(name, radiance) * factor,

@@ -56,7 +56,7 @@ class Contents:
     rows: dict[str, list] = field(default_factory=dict)
 
 
-def assemble(found: Contents) -> Sky:
+def screened(found: Contents) -> Sky:
     """The `Sky` of what a file says: checked, screened, with the sun in place.
 
     **Arguments** `found`: the contents of the file.

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from ..samples import Sky
 from ..units import RADIANCE, radiance_factor
 from .grid import Axis, by_time, fill, repeated
-from .screening import assemble, check_angles, Contents
+from .screening import check_angles, Contents, screened
 
 
 REQUIRED = ("view_zenith", "view_azimuth", "wavelength", "radiance")
@@ -125,7 +125,7 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
     def gridded(key, absent):
         return fill(shape, index, number[key], absent)[order]
 
-    return assemble(
+    return screened(
         Contents(
             name=name,
             radiance=gridded("radiance", np.nan) * factor,

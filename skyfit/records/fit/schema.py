@@ -15,7 +15,7 @@ r"""The form of a fit's JSON record, and the check that a file has it.
     atmosphere            where the fit began, as skyfit/atmosphere/description.py documents: constituents by name with
                           kind and every number, and ground; what is free has its first guess here
     measurement           relative, floor, calibration (null: by the file, else the default), model_error,
-                          field_of_view_deg, loss, threshold as in skyfit.Measurement;
+                          field_of_view_deg, loss, threshold as in skyfit.NoiseModel;
                           calibration_prior: sigma of each wavelength's scale that the fit took, 0: exact
     priors                name: {value, sigma, unit}
     smooth                name: {sigma_per_hour, unit}; of a positive parameter that of its logarithm, unit "1"
@@ -32,7 +32,7 @@ r"""The form of a fit's JSON record, and the check that a file has it.
       sun_zenith_deg, sun_azimuth_deg                   the mean, where they differ between wavelengths
       parameters          those of this time alone, as in shared; sigma holds model_sigma, the model's error
       correlation         [parameter][parameter] of all that are free
-      haze                name: {value, sigma, unit} of what skyfit.haze_optics says follows from the parameters
+      haze                name: {value, sigma, unit} of what skyfit.aerosol_optics says follows from the parameters
       result, steps       how the solve ended, and after how many steps
       rmse, rmse_unit     over the usable samples
       samples             how many those are

@@ -14,7 +14,7 @@ from ...measured import atomic, Sky, write_sky
 from ...measured.units import RADIANCE
 from ...measured.writers import axes, degrees, write_netcdf
 from ...measured.writing import skyfit_version
-from ...retrieve import Derived, Fit, haze_optics, PARAMETERS
+from ...retrieve import aerosol_optics, Derived, Fit, PARAMETERS
 from .schema import SCHEMA, VERSION
 
 
@@ -22,7 +22,7 @@ def record_of(fit: Fit) -> dict:
     """The record of a fit, in Python's and NumPy's types; what is not finite stands as it is."""
     sky, solver, given = fit.sky, fit.solver, fit.measurement
     station = ("latitude_deg", "longitude_deg", "altitude_m", "pressure_pa")
-    common, optics = [p for p, name in enumerate(fit.free) if name in fit.shared], haze_optics(fit)
+    common, optics = [p for p, name in enumerate(fit.free) if name in fit.shared], aerosol_optics(fit)
     return {
         "schema": SCHEMA,
         "version": VERSION,

@@ -128,7 +128,7 @@ def constant_ambient(
     height, _, distance = _geometry(scene, distance)
     extinction = jnp.zeros_like(scene.wavelength_nm)
     for c in constituents:
-        extinction = extinction + c.extinction(scene.wavelength_nm) * c.profile.density(height)
+        extinction = extinction + c.optical_depth_at(scene.wavelength_nm) * c.profile.density(height)
     slant = distance[:, None] * extinction[None]
     return Path(jnp.exp(-slant), -jnp.expm1(-slant) * ambient[None])
 

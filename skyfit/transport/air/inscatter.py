@@ -80,7 +80,7 @@ def scattered_light(
 def _phases(scatterers: tuple[AbstractConstituent, ...], half, scene: Scene):
     """Phase functions, sr^-1, `[constituent, direction, wavelength]`."""
     shape = half.shape[0], scene.wavelength_nm.shape[0]
-    values = [c.phase.value(half, scene.wavelength_nm) for c in scatterers if c.phase is not None]
+    values = [c.phase.at_haversine(half, scene.wavelength_nm) for c in scatterers if c.phase is not None]
     return jnp.stack([jnp.broadcast_to(v, shape) for v in values])
 
 

@@ -133,7 +133,7 @@ def level_heights(constituents: tuple[AbstractConstituent, ...], levels: int) ->
     scatterers = [c.profile for c in constituents if c.phase is not None]
     table = TOP_OF_AIR * (np.arange(_HEIGHT_TABLE + 1) / _HEIGHT_TABLE) ** 3
     height = jnp.asarray(table, jnp.result_type(float))
-    share = jnp.mean(jnp.stack([p.above(height) for p in scatterers]), axis=0)
+    share = jnp.mean(jnp.stack([p.column_above(height) for p in scatterers]), axis=0)
     share = (share - share[-1]) / (share[0] - share[-1])
     target = jnp.asarray(np.arange(levels + 1) / levels, height.dtype)[:, None]
     # each step of the table counts as far as the share above has not yet fallen to the target within it
@@ -153,7 +153,7 @@ def layered(
     scaled = scaled_optics(constituents, wavelength_nm, resolution)
     height = level_heights(constituents, resolution.levels)
     # what little lies above the top level belongs to the first layer
-    above = jnp.stack([c.profile.above(height[1:]) for c in constituents])
+    above = jnp.stack([c.profile.column_above(height[1:]) for c in constituents])
     share = jnp.diff(jnp.pad(above, ((0, 0), (1, 0))), axis=1)
     depth = share.T @ scaled.extinction
     scattered = jnp.stack([share[i] for i in scatterer_indices(constituents)])[:, :, None] * scaled.scattering[:, None]

@@ -11,8 +11,8 @@ from ..contract import (
     AbstractSolver,
     check_geometry,
     check_on_ground,
-    Fluxes,
     Geometry,
+    Irradiances,
     POLARISED_ERROR,
     SCALAR_ERROR,
     Stokes,
@@ -122,7 +122,7 @@ class OrdersOfScattering(AbstractSolver):
         return Stokes(*streamed_light(atmosphere, scene, self._resolution(), self.nodes, self.spectral_nodes, True))
 
     @eqx.filter_jit
-    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Fluxes:
+    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground: the direct beam, the diffuse sky, the ground's reflection.
 
         The delta-M beam contains the forward peak; it is counted as direct light only as far as the true
@@ -142,7 +142,7 @@ class OrdersOfScattering(AbstractSolver):
             top = field.top_flux * scene.solar_irradiance
         up = reflectance * (direct + diffuse)
         irradiance = scene.solar_irradiance
-        return Fluxes(direct * irradiance, diffuse * irradiance, up * irradiance, top)
+        return Irradiances(direct * irradiance, diffuse * irradiance, up * irradiance, top)
 
     def _resolution(self) -> Resolution:
         return Resolution(self.streams, self.modes, self.levels, self.orders, self.geometry, polarised=self.polarised)

@@ -42,7 +42,7 @@ def fitted(sky, start):
 def test_an_angstrom_haze_has_the_optics_that_its_laws_say(x64):
     fit = skyfit.invert(as_sky(by_hand()), FREE, SOLVER, measurement=EXACT)
     depth, exponent, asymmetry = fit.values[0]
-    found = skyfit.haze_optics(fit)
+    found = skyfit.aerosol_optics(fit)
     for nm in (440, 675, 870):
         expected = depth * (nm / 550.0) ** -exponent
         assert found[f"aerosol_optical_depth_{nm}"].value[0] == pytest.approx(expected, rel=1e-9)
@@ -57,11 +57,11 @@ def test_an_angstrom_haze_has_the_optics_that_its_laws_say(x64):
 
 def test_sigma_of_the_optics_is_the_spread_over_noise(x64, start):
     fit = fitted(sky_of_spheres(0), start)
-    found = skyfit.haze_optics(fit)
+    found = skyfit.aerosol_optics(fit)
     draws = np.random.default_rng(1).multivariate_normal(fit.values[0], fit.covariance[0], 4000)
     aerosols = [spheres(dict(zip(SPHERES, row, strict=True))) for row in draws[:300]]
     radii = np.array([float(one.effective_radius) for one in aerosols])
-    depths = np.array([np.asarray(one.extinction(np.array([440.0, 870.0]))) for one in aerosols])
+    depths = np.array([np.asarray(one.optical_depth_at(np.array([440.0, 870.0]))) for one in aerosols])
     exponents = np.log(depths[:, 0] / depths[:, 1]) / np.log(870.0 / 440.0)
     for name, sample, unit in (
         ("effective_radius", radii, "um"),
@@ -97,4 +97,4 @@ def test_the_record_holds_the_optics_and_the_spheres(start, tmp_path):
 def test_haze_given_per_wavelength_and_no_haze_have_none():
     air = SkyModel(Atmosphere(Rayleigh(), None, Ozone(), Ground()))
     fit = skyfit.invert(as_sky(by_hand(aerosol_optical_depth=0.0)), ("ground_albedo", "ozone"), SOLVER, air)
-    assert skyfit.haze_optics(fit) == {}
+    assert skyfit.aerosol_optics(fit) == {}
