@@ -19,6 +19,8 @@ class AbstractConstituent(eqx.Module):
     profile: eqx.AbstractVar[AbstractProfile]
     # whether the optics may be asked for at wavelengths other than the scene's
     smooth_in_wavelength: eqx.AbstractClassVar[bool]
+    # whether coarse streams see within a per cent what it changes from one wavelength to the next
+    factors_out: ClassVar[bool] = True
 
     @abstractmethod
     def optical_depth_at(self, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
@@ -41,6 +43,7 @@ class Prescribed(AbstractConstituent):
     phase: AbstractPhase | None = None
     single_scattering_albedo: Float[Array, "*wavelength"] = eqx.field(converter=as_float, default=1.0)
     smooth_in_wavelength: ClassVar[bool] = False
+    factors_out: ClassVar[bool] = False
 
     def optical_depth_at(self, wavelength_nm):
         if self.optical_depth.shape != wavelength_nm.shape:

@@ -55,6 +55,7 @@ class Gas(AbstractGas):
     unit: str = eqx.field(static=True, default="DU")
     phase: ClassVar[None] = None
     smooth_in_wavelength: ClassVar[bool] = True
+    factors_out: ClassVar[bool] = False
 
     def __check_init__(self):
         if self.table_wavelength_nm.shape != self.absorption_per_unit.shape:

@@ -10,6 +10,7 @@ from .contract import AbstractSolver, check_geometry, check_on_ground, Geometry,
 from .optics import optics, scatterer_indices, transmitted_sun
 from .orders.layering import Resolution
 from .orders.solver import streamed_light
+from .orders.spectrum import spectral_nodes, SpectralNodes
 from .orders.streams import diffuse_field
 
 
@@ -33,17 +34,17 @@ class DoubleScattering(AbstractSolver):
     modes: int = eqx.field(static=True, default=12)
     levels: int = eqx.field(static=True, default=30)
     nodes: int = eqx.field(static=True, default=24)
-    spectral_nodes: int = eqx.field(static=True, default=8)
+    every_wavelength: bool = eqx.field(static=True, default=False)
     geometry: Geometry = eqx.field(static=True, default="spherical")
 
     def __check_init__(self):
         check_geometry(self.geometry)
-        self._resolution(1).check(self.nodes, self.spectral_nodes)
+        self._resolution(1).check(self.nodes)
 
     @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "DoubleScattering":
         """6 streams."""
-        return cls(streams=6, modes=12, levels=16, nodes=16, spectral_nodes=6, geometry=geometry)
+        return cls(streams=6, modes=12, levels=16, nodes=16, geometry=geometry)
 
     @classmethod
     def normal(cls, geometry: Geometry = "spherical") -> "DoubleScattering":
@@ -53,7 +54,7 @@ class DoubleScattering(AbstractSolver):
     @classmethod
     def fine(cls, geometry: Geometry = "spherical") -> "DoubleScattering":
         """16 streams, every wavelength."""
-        return cls(streams=16, modes=24, levels=100, nodes=64, spectral_nodes=0, geometry=geometry)
+        return cls(streams=16, modes=24, levels=100, nodes=64, every_wavelength=True, geometry=geometry)
 
     @property
     def model_error(self) -> float:
@@ -62,11 +63,14 @@ class DoubleScattering(AbstractSolver):
     def coarser(self) -> AbstractSolver:
         return self
 
-    @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance by the first two orders of scattering, W m^-2 sr^-1 nm^-1."""
         check_on_ground(scene, "DoubleScattering")
-        return streamed_light(_over_black(atmosphere), scene, self._resolution(1), self.nodes, self.spectral_nodes)[0]
+        return self._light(atmosphere, scene, spectral_nodes(atmosphere, scene, self.every_wavelength))
+
+    @eqx.filter_jit
+    def _light(self, atmosphere: Atmosphere, scene: Scene, few: SpectralNodes | None):
+        return streamed_light(_over_black(atmosphere), scene, self._resolution(1), self.nodes, few)[0]
 
     @eqx.filter_jit
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
@@ -78,7 +82,8 @@ class DoubleScattering(AbstractSolver):
         direct = irradiance * jnp.maximum(jnp.cos(scene.sun_zenith), 0.0) * beam
         diffuse = jnp.zeros_like(direct)
         if scatterer_indices(constituents):
-            _, field = diffuse_field(_over_black(atmosphere), scene, scene.wavelength_nm, self._resolution(2))
+            black = jnp.zeros_like(scene.wavelength_nm)
+            _, field = diffuse_field(atmosphere, scene, scene.wavelength_nm, black, self._resolution(2))
             # where little comes through thick layers, their slopes may undershoot
             diffuse = irradiance * jnp.maximum(field.ground_flux, 0.0)
         return Irradiances(direct, diffuse, atmosphere.ground.reflectance(scene.wavelength_nm) * (direct + diffuse))

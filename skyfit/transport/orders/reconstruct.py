@@ -1,5 +1,7 @@
 """The light that the field in the layers sends toward an observer on the ground."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,18 +17,30 @@ from .streams import degree_index, diffuse_field
 from .sweep import sloped
 
 
+class Multiple(NamedTuple):
+    """Light of second and higher orders toward an observer on the ground, and the flux of all light onto the ground.
+
+    Both per unit solar irradiance.
+    """
+
+    light: Float[Array, "stokes direction wavelength"]
+    ground_flux: Float[Array, " wavelength"]
+
+
 def multiple_scattering(
     atmosphere: Atmosphere,
     scene: Scene,
     wavelength_nm: Float[Array, " wavelength"],
+    ground_albedo: Float[Array, " wavelength"],
     resolution: Resolution,
     stokes: bool = False,
-) -> Float[Array, "stokes direction wavelength"]:
-    """Light of second and higher orders toward an observer on the ground, per unit solar irradiance.
+) -> Multiple:
+    """What an observer on the ground gets of second and higher orders of scattering.
 
-    **Returns:** the radiance alone, or with `stokes` (of a polarised resolution) I, Q and U.
+    **Arguments:** `ground_albedo` at the wavelengths. **Returns:** a `Multiple`: the radiance alone, or with `stokes`
+    (of a polarised resolution) I, Q and U.
     """
-    layers, field = diffuse_field(atmosphere, scene, wavelength_nm, resolution, stokes)
+    layers, field = diffuse_field(atmosphere, scene, wavelength_nm, ground_albedo, resolution, stokes)
     count, modes = resolution.for_phases(atmosphere.constituents)
     view = scene.view
     degree = degree_index(count, modes)
@@ -50,7 +64,8 @@ def multiple_scattering(
         sources += [*sources_of_stokes(field.polarised, scene)]
     airmass = layer_airmass(layers.height, cosine, resolution.geometry)
     light = jnp.stack([_seen(source, layers.depth, airmass) for source in sources])
-    return jnp.where(above_horizon(view.zenith)[None, :, None], light, 0.0)
+    beam = jnp.maximum(jnp.cos(scene.sun_zenith), 0.0) * layers.beam[-1]
+    return Multiple(jnp.where(above_horizon(view.zenith)[None, :, None], light, 0.0), field.ground_flux + beam)
 
 
 @jax.custom_jvp

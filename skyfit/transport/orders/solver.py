@@ -5,7 +5,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...atmosphere import Atmosphere
-from ...numerics import chebyshev_nodes, chebyshev_weights
 from ...scene import Scene
 from ..contract import (
     AbstractSolver,
@@ -17,15 +16,12 @@ from ..contract import (
     SCALAR_ERROR,
     Stokes,
 )
-from ..optics import optics, scatterer_indices, sun_depth, transmitted_sun
+from ..optics import optics, scatterer_indices, transmitted_sun
 from ..single import single_scattering
 from .layering import Resolution, scaled_optics
 from .reconstruct import multiple_scattering
+from .spectrum import interpolated, spectral_nodes, SpectralNodes
 from .streams import diffuse_field
-
-
-# sr^-1, per unit irradiance; what is darker counts as black
-_DARK = 1e-30
 
 
 class OrdersOfScattering(AbstractSolver):
@@ -37,8 +33,9 @@ class OrdersOfScattering(AbstractSolver):
     diffusion after each of them, so that no light is lost however thick the haze and few the sweeps.
 
     `streams` per hemisphere; `modes` in azimuth; `levels` of the vertical grid, dense in haze; `orders`,
-    sweeps through it; `nodes` of the single-scattering integral; `spectral_nodes`, wavelengths at which
-    multiple scattering is solved (0, or an atmosphere that is not smooth in wavelength: all of the scene's);
+    sweeps through it; `nodes` of the single-scattering integral; `every_wavelength`: multiple scattering is solved at
+    each wavelength of the scene. Otherwise long spectra are solved at a few and completed by coarse streams at all
+    (`spectrum.interpolated`), within 1e-3 from 300 to 1100 nm;
     `geometry` "spherical": curved paths for beam and view, and diffuse streams that change their local angle
     from layer to layer, under a sun whose local zenith angle is the observer's for them; or "flat". `polarised`: with
     linear polarisation, in the radiance and for `stokes`: 1.2 times the scalar solver's time, its Jacobian 1.4 times.
@@ -59,22 +56,20 @@ class OrdersOfScattering(AbstractSolver):
     streams: int = eqx.field(static=True, default=8)
     modes: int = eqx.field(static=True, default=16)
     levels: int = eqx.field(static=True, default=24)
-    orders: int = eqx.field(static=True, default=6)
+    orders: int = eqx.field(static=True, default=7)
     nodes: int = eqx.field(static=True, default=24)
-    spectral_nodes: int = eqx.field(static=True, default=8)
+    every_wavelength: bool = eqx.field(static=True, default=False)
     geometry: Geometry = eqx.field(static=True, default="spherical")
     polarised: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         check_geometry(self.geometry)
-        self._resolution().check(self.nodes, self.spectral_nodes)
+        self._resolution().check(self.nodes)
 
     @classmethod
     def draft(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
         """Flat: 0.05 % in the median, to 2 % at 85 degrees."""
-        return cls(
-            streams=6, modes=12, levels=16, orders=4, nodes=16, spectral_nodes=6, geometry=geometry, polarised=polarised
-        )
+        return cls(streams=6, modes=12, levels=16, orders=5, nodes=16, geometry=geometry, polarised=polarised)
 
     @classmethod
     def normal(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
@@ -90,7 +85,7 @@ class OrdersOfScattering(AbstractSolver):
             levels=100,
             orders=12,
             nodes=64,
-            spectral_nodes=0,
+            every_wavelength=True,
             geometry=geometry,
             polarised=polarised,
         )
@@ -102,13 +97,11 @@ class OrdersOfScattering(AbstractSolver):
     def coarser(self) -> "OrdersOfScattering":
         return OrdersOfScattering.draft(self.geometry, self.polarised)
 
-    @eqx.filter_jit
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance by all orders of scattering, W m^-2 sr^-1 nm^-1."""
         check_on_ground(scene, "OrdersOfScattering")
-        return streamed_light(atmosphere, scene, self._resolution(), self.nodes, self.spectral_nodes)[0]
+        return self._light(atmosphere, scene, spectral_nodes(atmosphere, scene, self.every_wavelength), False)[0]
 
-    @eqx.filter_jit
     def stokes(self, atmosphere: Atmosphere, scene: Scene) -> Stokes:
         """Radiance and linear polarisation, W m^-2 sr^-1 nm^-1, of a solver with `polarised`.
 
@@ -119,7 +112,11 @@ class OrdersOfScattering(AbstractSolver):
             raise ValueError(
                 "`polarised` must be True for `stokes`, got False: OrdersOfScattering.normal(polarised=True)"
             )
-        return Stokes(*streamed_light(atmosphere, scene, self._resolution(), self.nodes, self.spectral_nodes, True))
+        return Stokes(*self._light(atmosphere, scene, spectral_nodes(atmosphere, scene, self.every_wavelength), True))
+
+    @eqx.filter_jit
+    def _light(self, atmosphere: Atmosphere, scene: Scene, few: SpectralNodes | None, stokes: bool):
+        return streamed_light(atmosphere, scene, self._resolution(), self.nodes, few, stokes)
 
     @eqx.filter_jit
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
@@ -136,7 +133,7 @@ class OrdersOfScattering(AbstractSolver):
         reflectance = atmosphere.ground.reflectance(scene.wavelength_nm)
         diffuse, top = jnp.zeros_like(direct), None
         if scatterer_indices(constituents):
-            layers, field = diffuse_field(atmosphere, scene, scene.wavelength_nm, self._resolution())
+            layers, field = diffuse_field(atmosphere, scene, scene.wavelength_nm, reflectance, self._resolution())
             # where little comes through thick layers, their slopes may undershoot
             diffuse = jnp.maximum(field.ground_flux + sun * layers.beam[-1] - direct, 0.0)
             top = field.top_flux * scene.solar_irradiance
@@ -149,12 +146,17 @@ class OrdersOfScattering(AbstractSolver):
 
 
 def streamed_light(
-    atmosphere: Atmosphere, scene: Scene, resolution: Resolution, nodes: int, spectral_nodes: int, stokes: bool = False
+    atmosphere: Atmosphere,
+    scene: Scene,
+    resolution: Resolution,
+    nodes: int,
+    few: SpectralNodes | None,
+    stokes: bool = False,
 ) -> Float[Array, "stokes direction wavelength"]:
     """Exact single scattering and what streams make of the higher orders, W m^-2 sr^-1 nm^-1.
 
-    **Arguments:** `nodes` of the single-scattering integral; `spectral_nodes`, wavelengths at which the streams
-    solve, 0 for all of the scene's. **Returns:** the radiance alone, or with `stokes` I, Q and U.
+    **Arguments:** `nodes` of the single-scattering integral; `few`, wavelengths at which the streams solve, None for
+    all of the scene's. **Returns:** the radiance alone, or with `stokes` I, Q and U.
     """
     constituents = atmosphere.constituents
     wavelength = scene.wavelength_nm
@@ -162,36 +164,9 @@ def streamed_light(
         return jnp.zeros((3 if stokes else 1, scene.view.zenith.shape[0], wavelength.shape[0]))
     extinction = scaled_optics(constituents, wavelength, resolution).extinction
     single = single_scattering(constituents, scene, extinction, nodes, resolution.geometry, stokes)
-    if 0 < spectral_nodes < wavelength.shape[0] and atmosphere.smooth_in_wavelength:
-        multiple = _interpolated_multiple(atmosphere, scene, resolution, spectral_nodes, stokes)
+    if few is None:
+        ground = atmosphere.ground.reflectance(wavelength)
+        multiple = multiple_scattering(atmosphere, scene, wavelength, ground, resolution, stokes).light
     else:
-        multiple = multiple_scattering(atmosphere, scene, wavelength, resolution, stokes)
+        multiple = interpolated(atmosphere, scene, resolution, few, stokes)
     return (single + multiple) * scene.solar_irradiance[None, None]
-
-
-def _interpolated_multiple(atmosphere: Atmosphere, scene: Scene, resolution: Resolution, few: int, stokes: bool):
-    """Multiple scattering solved at a few wavelengths: its log is smooth, absorption on the sun's path apart.
-
-    So are Q and U over I.
-    """
-    wavelength = scene.wavelength_nm
-    low, high = jnp.log(jnp.min(wavelength)), jnp.log(jnp.max(wavelength))
-    unit = jnp.asarray(chebyshev_nodes(few), wavelength.dtype)
-    nodes = jnp.exp(0.5 * (low + high) + 0.5 * (high - low) * unit)
-    place = (2.0 * jnp.log(wavelength) - low - high) / jnp.maximum(high - low, 1e-9)
-    absorbers = tuple(c for c in atmosphere.constituents if c.phase is None)
-
-    def absorption(wavelengths):
-        depth = optics(absorbers, wavelengths).extinction
-        return sun_depth(absorbers, scene, depth, resolution.geometry)
-
-    multiple, *polarised = multiple_scattering(atmosphere, scene, nodes, resolution, stokes)
-    dark = multiple < _DARK
-    smooth = jnp.log(jnp.where(dark, _DARK, multiple)) + absorption(nodes)[None]
-    weights = chebyshev_weights(place, few).T
-    exponent = smooth @ weights - absorption(wavelength)[None]
-    # no sky is brighter than e^5 per unit irradiance: what is interpolated between black nodes must not overflow
-    everywhere = jnp.exp(jnp.minimum(exponent, 5.0))
-    radiance = jnp.where(jnp.all(dark, axis=1)[:, None], 0.0, everywhere)
-    shares = [jnp.where(dark, 0.0, light / jnp.where(dark, 1.0, multiple)) @ weights for light in polarised]
-    return jnp.stack([radiance, *(radiance * share for share in shares)])

@@ -1,0 +1,117 @@
+"""Long spectra: the streams solve a few wavelengths, coarse streams all of them."""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...atmosphere import Atmosphere
+from ...numerics import chebyshev_nodes, chebyshev_weights, concrete
+from ...scene import Scene
+from .layering import Resolution
+from .reconstruct import multiple_scattering
+
+
+# albedo of the second ground at which streams solve; light over any other follows from the two
+_LIT = 0.8
+# nodes over a black ground per unit of ln(wavelength): 8 from 380 to 780 nm, 16 from 300 to 1100 nm
+_DENSITY = 11.1
+# over a black and a lit ground; where wavelengths are traced, as for 300 to 1100 nm
+_LEAST, _MOST = (4, 2), (16, 8)
+# sr^-1, per unit irradiance; what is darker counts as black
+_DARK = 1e-30
+
+
+class SpectralNodes(NamedTuple):
+    """Counts of wavelengths, static, at which streams solve over a black ground and over a lit one."""
+
+    black: int
+    lit: int
+
+
+def spectral_nodes(atmosphere: Atmosphere, scene: Scene, every_wavelength: bool) -> SpectralNodes | None:
+    """How many wavelengths of a spectrum streams solve; None: each of the scene's.
+
+    Each, where that is no more, and where a constituent is known at the scene's wavelengths alone or absorbs in bands
+    low in the air, which coarse streams get wrong by per cents.
+    """
+    count = scene.wavelength_nm.shape[-1]
+    known = concrete(scene.wavelength_nm)
+    most = SpectralNodes(*_MOST)
+    if known is not None and known.size and (known > 0.0).all():
+        black = min(max(_LEAST[0], math.ceil(_DENSITY * math.log(known.max() / known.min()))), _MOST[0])
+        most = SpectralNodes(black, max(_LEAST[1], black // 2))
+    if every_wavelength or count <= sum(most) or not all(c.factors_out for c in atmosphere.constituents):
+        return None
+    return most
+
+
+def interpolated(
+    atmosphere: Atmosphere, scene: Scene, resolution: Resolution, few: SpectralNodes, stokes: bool
+) -> Float[Array, "stokes direction wavelength"]:
+    r"""Multiple scattering at all wavelengths of a scene, by the ratio of streams to coarse streams at a few.
+
+    Ozone, ground and haze of each wavelength are in the coarse streams; their ratio to the full ones is smooth. Over a
+    Lambertian ground of albedo A the light is $(1 - y) L(0) + y L(A_1)$ with
+    $y = \frac{A (1 - A_1 s)}{A_1 (1 - A s)}$, s the spherical albedo of the atmosphere: any ground is exact.
+
+    **Returns:** as `multiple_scattering`'s `light`, per unit solar irradiance.
+    **Source:** low-streams interpolation, O'Dell 2010, J. Geophys. Res. 115, D10206; the ground: Chandrasekhar 1950.
+    """
+    wavelength = scene.wavelength_nm
+    low, high = jnp.log(jnp.min(wavelength)), jnp.log(jnp.max(wavelength))
+
+    def nodes(count):
+        unit = jnp.asarray(chebyshev_nodes(count), wavelength.dtype)
+        return jnp.exp(0.5 * (low + high) + 0.5 * (high - low) * unit)
+
+    def spread(at_nodes, to):
+        """What is known at the nodes of one ground, at other wavelengths."""
+        place = (2.0 * jnp.log(to) - low - high) / jnp.maximum(high - low, 1e-9)
+        return at_nodes @ chebyshev_weights(place, at_nodes.shape[-1]).T
+
+    def cut(values, *sizes):
+        ends = [sum(sizes[: i + 1]) for i in range(len(sizes) - 1)]
+        return jnp.split(values, ends, axis=-1)
+
+    black, lit = nodes(few.black), nodes(few.lit)
+    solved = multiple_scattering(
+        atmosphere,
+        scene,
+        jnp.concatenate([black, lit]),
+        jnp.concatenate([jnp.zeros_like(black), jnp.full_like(lit, _LIT)]),
+        resolution,
+        stokes,
+    )
+    every = jnp.concatenate([wavelength, black, lit])
+    coarse = multiple_scattering(
+        atmosphere,
+        scene,
+        jnp.concatenate([every, every]),
+        jnp.concatenate([jnp.zeros_like(every), jnp.full_like(every, _LIT)]),
+        resolution.coarse(),
+    )
+    # one field of positive numbers: the radiances, and the flux onto the ground as the last row
+    over_black, over_lit = cut(jnp.concatenate([solved.light[0], solved.ground_flux[None]]), few.black, few.lit)
+    sizes = (*wavelength.shape, few.black, few.lit)
+    both = jnp.maximum(jnp.concatenate([coarse.light[0], coarse.ground_flux[None]]), _DARK)
+    dark, dark_black, dark_lit, bright, _, bright_lit = cut(both, *sizes, *sizes)
+    ratio = over_black / dark_black
+    # of what the ground adds the ratio is smoother still
+    more = _share(over_lit / bright_lit, spread(ratio, lit))
+    found_black = spread(ratio, wavelength) * dark
+    found_lit = spread(ratio, wavelength) * spread(more, wavelength) * bright
+
+    spherical_albedo = (1.0 - _share(found_black[-1], found_lit[-1])) / _LIT
+    albedo = atmosphere.ground.reflectance(wavelength)
+    lit_share = albedo * (1.0 - _LIT * spherical_albedo) / (_LIT * (1.0 - albedo * spherical_albedo))
+    black_stokes, lit_stokes = cut(_share(solved.light, solved.light[:1]), few.black, few.lit)
+    over_black = (1.0 - lit_share) * found_black[:-1] * spread(black_stokes, wavelength)
+    return over_black + lit_share * found_lit[:-1] * spread(lit_stokes, wavelength)
+
+
+def _share(part, whole):
+    """`part` over `whole`; where there is no light, none."""
+    dark = jnp.abs(whole) <= _DARK
+    return jnp.where(dark, 0.0, part / jnp.where(dark, 1.0, whole))
