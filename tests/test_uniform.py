@@ -149,7 +149,7 @@ def test_what_the_article_does_not_have_is_refused():
     with pytest.raises(ValueError, match="`kind` must be one of light haze"):
         skyfit.hoffman_haze("pea soup", RGB)
     for absorption in (-1e-9, 6e-5, float("nan")):
-        with pytest.raises(ValueError, match="`absorption` must be within"):
+        with pytest.raises(ValueError, match="`absorption` must be between"):
             skyfit.hoffman_haze("light haze", RGB, absorption)
     with pytest.raises(ValueError, match="geometry"):
         Uniform("spherical")

@@ -7,12 +7,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..numerics import as_float
+from ..numerics import as_float, Ranged, within
 from .phase import AbstractPhase
 from .profile import AbstractProfile
 
 
-class AbstractConstituent(eqx.Module):
+class AbstractConstituent(Ranged):
     """Something in the air. `phase` is None where it only absorbs."""
 
     phase: eqx.AbstractVar[AbstractPhase | None]
@@ -36,10 +36,12 @@ class Prescribed(AbstractConstituent):
     or a scalar; `phase` (None: absorbs only) and `profile`. Stands in any place of an `Atmosphere`.
     """
 
-    optical_depth: Float[Array, " wavelength"] = eqx.field(converter=as_float)
+    optical_depth: Float[Array, " wavelength"] = eqx.field(converter=as_float, metadata=within(0.0, 1e4))
     profile: AbstractProfile
     phase: AbstractPhase | None = None
-    single_scattering_albedo: Float[Array, "*wavelength"] = eqx.field(converter=as_float, default=1.0)
+    single_scattering_albedo: Float[Array, "*wavelength"] = eqx.field(
+        converter=as_float, default=1.0, metadata=within(0.0, 1.0)
+    )
     smooth_in_wavelength: ClassVar[bool] = False
 
     def optical_depth_at(self, wavelength_nm):

@@ -7,30 +7,33 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics import as_float, hat_weights
+from ..numerics import as_float, check_increasing, hat_weights, within
 from ..tables import read_table
 from .constituent import AbstractConstituent
-from .phase import AbstractPhase, REFERENCE_WAVELENGTH, Tabulated
+from .phase import AbstractPhase, REFERENCE_WAVELENGTH, TABLE_WAVELENGTHS, Tabulated
 from .profile import Layered
 
 
 class Droplets(AbstractConstituent):
     r"""Droplets of one density from the ground to `thickness`: $\tau = \beta_{550}\, h\, Q(\lambda) / Q(550)$.
 
-    `coefficient`, extinction at 550 nm, m^-1, >= 0; `thickness` h in m, > 0; `efficiency` Q `[band]` at
+    `coefficient`, extinction at 550 nm, 0 to 10 m^-1; `thickness` h, 0.1 m to 100 km; `efficiency` Q `[band]` at
     `table_wavelength_nm` `[band]`, linear between, the end values beyond; `phase`; `single_scattering_albedo`.
     Stands in any place of an `Atmosphere`.
 
     **Source:** Klassen 1987, sec. 10 and 11: fog 0.015 to 0.040 m^-1, of uniform density; Q of Mie theory.
     """
 
-    coefficient: Float[Array, ""] = eqx.field(converter=as_float)
-    thickness: Float[Array, ""] = eqx.field(converter=as_float)
-    table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float)
-    efficiency: Float[Array, " band"] = eqx.field(converter=as_float)
+    coefficient: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(0.0, 10.0, "per metre"))
+    thickness: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(0.1, 1e5, "m"))
+    table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float, metadata=TABLE_WAVELENGTHS)
+    efficiency: Float[Array, " band"] = eqx.field(converter=as_float, metadata=within(0.0, 1e3))
     phase: AbstractPhase
-    single_scattering_albedo: Float[Array, ""] = eqx.field(converter=as_float, default=1.0)
+    single_scattering_albedo: Float[Array, ""] = eqx.field(converter=as_float, default=1.0, metadata=within(0.0, 1.0))
     smooth_in_wavelength: ClassVar[bool] = True
+
+    def __check_init__(self):
+        check_increasing("table_wavelength_nm", self.table_wavelength_nm)
 
     @classmethod
     def fog(cls, coefficient=0.02, thickness=100.0, phase: AbstractPhase | None = None) -> "Droplets":

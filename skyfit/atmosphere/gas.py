@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics import as_float, hat_weights
+from ..numerics import as_float, check_increasing, hat_weights, within
 from ..tables import read_table
 from .constituent import AbstractConstituent
+from .phase import TABLE_WAVELENGTHS
 from .profile import AbstractProfile, OzoneLayer
 
 
@@ -48,9 +49,9 @@ class Gas(AbstractGas):
     **Valid:** beyond the table the end values hold: let it end where the gas does not absorb.
     """
 
-    column: Float[Array, ""] = eqx.field(converter=as_float)
-    table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float)
-    absorption_per_unit: Float[Array, " band"] = eqx.field(converter=as_float)
+    column: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(0.0, 1e30))
+    table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float, metadata=TABLE_WAVELENGTHS)
+    absorption_per_unit: Float[Array, " band"] = eqx.field(converter=as_float, metadata=within(0.0, 1e30))
     profile: AbstractProfile
     unit: str = eqx.field(static=True, default="DU")
     phase: ClassVar[None] = None
@@ -62,6 +63,7 @@ class Gas(AbstractGas):
                 "`absorption_per_unit` must be given at `table_wavelength_nm`, "
                 f"got {self.absorption_per_unit.shape} for {self.table_wavelength_nm.shape}"
             )
+        check_increasing("table_wavelength_nm", self.table_wavelength_nm)
 
     @classmethod
     def from_cross_section(cls, column, table_wavelength_nm, cross_section, profile: AbstractProfile) -> "Gas":
@@ -85,7 +87,7 @@ class Gas(AbstractGas):
 class Ozone(AbstractGas):
     """Ozone: Chappuis and Huggins absorption.
 
-    `column` in Dobson units, >= 0; `profile`; `table` "spectrl2" (default) or "preetham". The coefficient is
+    `column` in Dobson units, 0 to 1000; `profile`; `table` "spectrl2" (default) or "preetham". The coefficient is
     interpolated in a 5-10 nm table, so the fine structure of the Huggins bands below 340 nm is smoothed.
 
     **Source:** Bird & Riordan 1986 (Leckner 1978), as shipped by pvlib; see data/spectrl2_absorption.csv. "preetham":
@@ -93,7 +95,7 @@ class Ozone(AbstractGas):
     580 to 680 nm that Bird & Riordan leave out, up to 5 % more; beyond, those of Bird & Riordan.
     """
 
-    column: Float[Array, ""] = eqx.field(converter=as_float, default=300.0)
+    column: Float[Array, ""] = eqx.field(converter=as_float, default=300.0, metadata=within(0.0, 1e3, "DU"))
     profile: AbstractProfile = eqx.field(default_factory=OzoneLayer)
     table: Literal["spectrl2", "preetham"] = eqx.field(static=True, default="spectrl2")
     unit: ClassVar[str] = "DU"

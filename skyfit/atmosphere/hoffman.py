@@ -2,10 +2,9 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
-from ..numerics import as_float, hat_weights
+from ..numerics import as_float, check_range, hat_weights
 from ..tables import read_table
 from .constituent import Prescribed
 from .phase import HenyeyGreenstein
@@ -39,8 +38,7 @@ def hoffman_haze(
     """
     if kind not in _KINDS:
         raise ValueError(f"`kind` must be one of {', '.join(_KINDS)}, got {kind!r}")
-    if not isinstance(absorption, Tracer) and not 0.0 <= absorption <= _MOST_ABSORPTION * (1.0 + 1e-6):
-        raise ValueError(f"`absorption` must be within 0-{_MOST_ABSORPTION:g} per metre, got {absorption}")
+    check_range("absorption", absorption, 0.0, _MOST_ABSORPTION, "per metre")
     table = {name: float(column[_KINDS.index(kind)]) for name, column in read_table("hoffman_haze.csv").items()}
     place = np.log(HOFFMAN_WAVELENGTHS[::-1])
     value = np.log([table["blue"], table["green"], table["red"]])

@@ -13,7 +13,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ..numerics import as_float, associated_legendre, check_range, gauss_legendre, hat_weights, spin_legendre
+from ..numerics import (
+    as_float,
+    associated_legendre,
+    check_increasing,
+    check_radians,
+    check_range,
+    gauss_legendre,
+    hat_weights,
+    IN_MICROMETRES,
+    radians_within,
+    Ranged,
+    spin_legendre,
+    within,
+)
 from ..tables import read_table
 
 
@@ -23,9 +36,13 @@ REFERENCE_WAVELENGTH = 550.0
 HAZE_POLARISATION = 0.25
 # nodes of an integral over the scattering angle, uniform in it
 _ANGLES = 256
+# the range of the wavelengths of a table
+TABLE_WAVELENGTHS = within(100.0, 1e5, "nm", IN_MICROMETRES)
+# a lobe of one direction has no value there; at this asymmetry it is a milliradian wide
+_ASYMMETRY = within(-0.999, 0.999)
 
 
-class AbstractPhase(eqx.Module):
+class AbstractPhase(Ranged):
     """A phase function; the last axis of length 1 where it does not depend on wavelength."""
 
     # the degree of the last moment that is not zero, None where they go on
@@ -48,7 +65,7 @@ class AbstractPhase(eqx.Module):
 
         **Valid** concrete angles outside [0, pi] are a `ValueError`; traced ones are not checked.
         """
-        check_range("angle", angle, 0.0, np.pi * (1.0 + 1e-6), "radians")
+        check_radians("angle", angle, 0.0, np.pi)
         return self.at_haversine(jnp.sin(0.5 * as_float(angle)) ** 2, as_float(wavelength_nm))
 
     @abstractmethod
@@ -100,15 +117,16 @@ def polarised_like_air(haversine, share) -> Float[Array, "element direction #wav
 class RayleighPhase(AbstractPhase):
     r"""$p = \frac{3}{16\pi(1+2\gamma_d)}[(1+3\gamma_d) + (1-\gamma_d)\cos^2\gamma]$, $\gamma_d = \rho/(2-\rho)$.
 
-    `depolarization` $\rho$ >= 0; 0 gives $3(1+\cos^2\gamma)/16\pi$, the papers' form.
+    `depolarization` $\rho$ in [0, 1]; 0 gives $3(1+\cos^2\gamma)/16\pi$, the papers' form.
     Source: Chandrasekhar 1950; Bucholtz 1995, Appl. Opt. 34, 2765, eq. 12.
     """
 
     # King factor 1.048 of air at 550 nm (Bodhaine et al. 1999, table 3), as 6 (F - 1) / (7 F + 3)
-    depolarization: Float[Array, ""] = eqx.field(converter=as_float, default=0.0279)
+    depolarization: Float[Array, ""] = eqx.field(converter=as_float, default=0.0279, metadata=within(0.0, 1.0))
     last_degree: ClassVar[int | None] = 2
 
     def at_haversine(self, haversine, wavelength_nm):
+        check_range("haversine", haversine, 0.0, 1.0)
         spread = self.depolarization / (2.0 - self.depolarization)
         cosine = 1.0 - 2.0 * haversine[:, None]
         scale = 3.0 / (16.0 * np.pi * (1.0 + 2.0 * spread))
@@ -127,6 +145,7 @@ class RayleighPhase(AbstractPhase):
 
 
 def _henyey_greenstein(haversine, asymmetry):
+    check_range("haversine", haversine, 0.0, 1.0)
     denominator = (1.0 - asymmetry) ** 2 + 4.0 * asymmetry * haversine
     return (1.0 - asymmetry**2) / (4.0 * np.pi * denominator * jnp.sqrt(denominator))
 
@@ -138,12 +157,12 @@ def _powers(asymmetry, count: int):
 class HenyeyGreenstein(AbstractPhase):
     r"""$p = \frac{1-g^2}{4\pi (1+g^2-2g\cos\gamma)^{3/2}}$, moments $g^l$; forward scattering is g > 0.
 
-    `asymmetry` g in (-1, 1). Source: Henyey & Greenstein 1941. Klassen 1987, eq. 1 and Hoffman & Preetham 2002
+    `asymmetry` g in [-0.999, 0.999]. Source: Henyey & Greenstein 1941. Klassen 1987, eq. 1 and Hoffman & Preetham 2002
     print the numerator $(1-g)^2$ and signs of their own: neither integrates to one.
     """
 
-    asymmetry: Float[Array, ""] = eqx.field(converter=as_float)
-    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION)
+    asymmetry: Float[Array, ""] = eqx.field(converter=as_float, metadata=_ASYMMETRY)
+    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION, metadata=within(0.0, 1.0))
     last_degree: ClassVar[int | None] = None
 
     def at_haversine(self, haversine, wavelength_nm):
@@ -159,16 +178,16 @@ class HenyeyGreenstein(AbstractPhase):
 class TwoTermHenyeyGreenstein(AbstractPhase):
     r"""A share of one Henyey-Greenstein lobe and the rest of a second one, $f p_{HG}(g_1) + (1 - f) p_{HG}(g_2)$.
 
-    `asymmetry` and `asymmetry_second` in (-1, 1); `forward_fraction` f at 550 nm in [0, 1] and its slope per unit of
-    ln(wavelength / 550 nm): coarse particles scatter forward and hold more of the red than of the blue.
+    `asymmetry` and `asymmetry_second` in [-0.999, 0.999]; `forward_fraction` f at 550 nm in [0, 1] and its slope per
+    unit of ln(wavelength / 550 nm): coarse particles scatter forward and hold more of the red than of the blue.
     Source: Irvine 1965, Astrophys. J. 142, 1563; Kattawar 1975. The slope is our own.
     """
 
-    asymmetry: Float[Array, ""] = eqx.field(converter=as_float)
-    asymmetry_second: Float[Array, ""] = eqx.field(converter=as_float)
-    forward_fraction: Float[Array, ""] = eqx.field(converter=as_float)
-    forward_fraction_slope: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
-    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION)
+    asymmetry: Float[Array, ""] = eqx.field(converter=as_float, metadata=_ASYMMETRY)
+    asymmetry_second: Float[Array, ""] = eqx.field(converter=as_float, metadata=_ASYMMETRY)
+    forward_fraction: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(0.0, 1.0))
+    forward_fraction_slope: Float[Array, ""] = eqx.field(converter=as_float, default=0.0, metadata=within(-10.0, 10.0))
+    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION, metadata=within(0.0, 1.0))
     last_degree: ClassVar[int | None] = None
 
     def _fraction(self, wavelength_nm):
@@ -191,12 +210,12 @@ class TwoTermHenyeyGreenstein(AbstractPhase):
 class CornetteShanks(AbstractPhase):
     r"""$p = \frac{3}{8\pi} \frac{(1-g^2)(1+\cos^2\gamma)}{(2+g^2)(1+g^2-2g\cos\gamma)^{3/2}}$.
 
-    `asymmetry` here is the parameter g in (-1, 1), not the mean cosine.
+    `asymmetry` here is the parameter g in [-0.999, 0.999], not the mean cosine.
     Source: Cornette & Shanks 1992, Appl. Opt. 31, 3152; Bruneton & Neyret 2008, eq. 4.
     """
 
-    asymmetry: Float[Array, ""] = eqx.field(converter=as_float)
-    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION)
+    asymmetry: Float[Array, ""] = eqx.field(converter=as_float, metadata=_ASYMMETRY)
+    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION, metadata=within(0.0, 1.0))
     last_degree: ClassVar[int | None] = None
 
     def at_haversine(self, haversine, wavelength_nm):
@@ -227,11 +246,15 @@ class Tabulated(AbstractPhase):
     Beyond the table the end values hold.
     """
 
-    angle: Float[Array, " angle"] = eqx.field(converter=as_float)
-    table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float)
-    log_value: Float[Array, "angle band"] = eqx.field(converter=as_float)
-    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION)
+    angle: Float[Array, " angle"] = eqx.field(converter=as_float, metadata=radians_within(0.0, np.pi))
+    table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float, metadata=TABLE_WAVELENGTHS)
+    log_value: Float[Array, "angle band"] = eqx.field(converter=as_float, metadata=within(-80.0, 80.0))
+    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION, metadata=within(0.0, 1.0))
     last_degree: ClassVar[int | None] = None
+
+    def __check_init__(self):
+        check_increasing("angle", self.angle)
+        check_increasing("table_wavelength_nm", self.table_wavelength_nm)
 
     @classmethod
     def bullrich(cls) -> "Tabulated":
@@ -246,6 +269,7 @@ class Tabulated(AbstractPhase):
         return cls(np.radians(table["theta_deg"]), bands, np.log(values))
 
     def _unnormalised(self, haversine, wavelength_nm):
+        check_range("haversine", haversine, 0.0, 1.0)
         inside = jnp.clip(haversine, 1e-12, 1.0 - 1e-6)
         angle = 2.0 * jnp.arctan2(jnp.sqrt(inside), jnp.sqrt(1.0 - inside))
         over_wavelength = self.log_value @ hat_weights(wavelength_nm, self.table_wavelength_nm).T

@@ -49,7 +49,7 @@ def make_atmosphere(
     }
     gas = Ozone(column=in_range("--ozone", ozone, 0.0, 1000.0))
     ground = Ground(albedo=in_range("--ground-albedo", ground_albedo, 0.0, 1.0))
-    air = Rayleigh(pressure=in_range("--pressure", pressure, 0.0, 2e6))
+    air = Rayleigh(pressure=in_range("--pressure", pressure, 2e3, 1.2e5))
     return lambda depth: Atmosphere(rayleigh=air, aerosol=Aerosol(depth, **haze), ozone=gas, ground=ground)
 
 

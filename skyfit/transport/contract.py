@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..atmosphere import Atmosphere
-from ..numerics import safe_sqrt
+from ..numerics import Ranged, safe_sqrt
 from ..scene import Scene
 
 
@@ -72,7 +72,7 @@ class Path(NamedTuple):
         return self.transmittance * background + self.inscatter
 
 
-class AbstractSolver(eqx.Module):
+class AbstractSolver(Ranged):
     """A way to solve the transfer of sunlight to an observer; holds only its resolution and its geometry.
 
     A tier that can also answers `path(atmosphere, scene, distance)`, a `Path` to objects at `distance`

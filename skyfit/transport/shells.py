@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractConstituent, Atmosphere
-from ..numerics import exp_mean, gauss_legendre, safe_sqrt
+from ..numerics import exp_mean, gauss_legendre, safe_sqrt, within
 from ..scene import above_horizon, haversine, Scene
 from .columns import EARTH_RADIUS, height_gain, length_scale, MIN_COSINE, slant_column
 from .contract import AbstractSolver, check_geometry, check_on_ground, Geometry, Irradiances, Path, SCALAR_ERROR
@@ -200,15 +200,13 @@ class Shells(AbstractSolver):
     (his $\theta + \phi$ of eq. 41 holds in the sun's vertical plane only).
     """
 
-    nodes: int = eqx.field(static=True, default=16)
+    nodes: int = eqx.field(static=True, default=16, metadata=within(1.0, np.inf))
     geometry: Geometry = eqx.field(static=True, default="spherical")
     blue_sky: Literal["scattered", "constant"] = eqx.field(static=True, default="scattered")
     low_sun: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         check_geometry(self.geometry)
-        if self.nodes < 1:
-            raise ValueError(f"`nodes` must be at least 1, got {self.nodes}")
         if self.blue_sky not in ("scattered", "constant"):
             raise ValueError(f'`blue_sky` must be "scattered" or "constant", got {self.blue_sky!r}')
         if self.blue_sky == "constant" and self.geometry == "flat":

@@ -3,10 +3,12 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractConstituent, Atmosphere, Layered
+from ..numerics import within
 from ..scene import Scene
 from .columns import slant_columns
 from .contract import AbstractSolver, check_geometry, Geometry, Irradiances, Path, SCALAR_ERROR, Stokes
@@ -128,7 +130,7 @@ class SingleScattering(AbstractSolver):
     **Source:** Nishita et al. 1993; Bruneton & Neyret 2008, sec. 3; ERRATA of the papers on sun distances.
     """
 
-    nodes: int = eqx.field(static=True, default=24)
+    nodes: int = eqx.field(static=True, default=24, metadata=within(1.0, np.inf))
     geometry: Geometry = eqx.field(static=True, default="spherical")
 
     def __check_init__(self):

@@ -2,10 +2,11 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ...atmosphere import AbstractConstituent, Atmosphere, Exponential
-from ...numerics import exp_mean, phi_functions
+from ...numerics import exp_mean, phi_functions, Ranged, within
 from ...scene import Scene
 from ..contract import Path
 from ..optics import Optics, optics
@@ -23,7 +24,7 @@ _FIRST_DEPTH = 2.0
 _NO_AIR = 1e-15
 
 
-class AerialPerspective(eqx.Module):
+class AerialPerspective(Ranged):
     r"""Extinction and in-scatter between an eye and objects, for constituents that thin out exponentially.
 
     $L = L_0 \tau + \int_0^s \sum_i \beta_i P_i\, u_i(x)\, \tau(0..x)\, dx$, $u_i = e^{-h(x) / H_i}$,
@@ -48,11 +49,7 @@ class AerialPerspective(eqx.Module):
     up at 5 km, useless at 20 km and in single precision.
     """
 
-    pieces: int = eqx.field(static=True, default=9)
-
-    def __check_init__(self):
-        if self.pieces < 2:
-            raise ValueError(f"`pieces` must be at least 2, got {self.pieces}")
+    pieces: int = eqx.field(static=True, default=9, metadata=within(2.0, np.inf))
 
     @classmethod
     def draft(cls) -> "AerialPerspective":
