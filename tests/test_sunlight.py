@@ -141,8 +141,8 @@ def test_radiance_is_irradiance_over_the_disc_and_nothing_at_night():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"turbidity": 0.5}, "`turbidity` must be at least 0.995, got 0.5"),
-        ({"turbidity": math.nan}, "`turbidity` must be at least"),
+        ({"turbidity": 0.5}, "`turbidity` must be between 0.995 and 10000, got 0.5"),
+        ({"turbidity": math.nan}, "`turbidity` must be between"),
         # centimetres and Dobson units
         ({"turbidity": 2.0, "ozone": 0.35}, "`ozone` must be between 0 and 0.01 m, got 0.3"),
         ({"turbidity": 2.0, "ozone": -0.001}, "`ozone` must be between"),

@@ -11,7 +11,7 @@ from skies import HASTE, hazy, slow, unit_scene, views
 import skyfit
 from skyfit import OrdersOfScattering, SingleScattering, upsample
 from skyfit.atmosphere import Exponential, HenyeyGreenstein, Prescribed
-from skyfit.transport import AbstractSolver
+from skyfit.transport import AbstractSolver, Suns
 
 
 WAVELENGTHS = np.array([400.0, 550.0, 800.0])
@@ -97,6 +97,10 @@ class Harmonics(AbstractSolver):
 
     def fluxes(self, atmosphere, scene):
         raise NotImplementedError
+
+    @property
+    def suns(self):
+        return Suns(180.0)
 
     @property
     def model_error(self):

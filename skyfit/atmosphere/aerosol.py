@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..numerics import as_float, within
+from ..numerics import ALL_WAVELENGTHS, as_float, within
 from .constituent import AbstractConstituent
 from .phase import AbstractPhase, HenyeyGreenstein, REFERENCE_WAVELENGTH
 from .profile import AbstractProfile, Exponential, HAZE_SCALE_HEIGHT
@@ -29,6 +29,7 @@ class Aerosol(AbstractConstituent):
     phase: AbstractPhase = eqx.field(default_factory=lambda: HenyeyGreenstein(0.7))
     profile: AbstractProfile = eqx.field(default_factory=lambda: Exponential(HAZE_SCALE_HEIGHT))
     smooth_in_wavelength: ClassVar[bool] = True
+    known_nm: ClassVar[tuple[float, float]] = ALL_WAVELENGTHS
 
     def optical_depth_at(self, wavelength_nm):
         ratio = jnp.log(wavelength_nm / REFERENCE_WAVELENGTH)

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..numerics import as_float, Ranged, within
+from ..numerics import ALL_WAVELENGTHS, as_float, check_wavelength, Ranged, within
 from .phase import AbstractPhase
 from .profile import AbstractProfile
 
@@ -19,6 +19,17 @@ class AbstractConstituent(Ranged):
     profile: eqx.AbstractVar[AbstractProfile]
     # whether the optics may be asked for at wavelengths other than the scene's
     smooth_in_wavelength: eqx.AbstractClassVar[bool]
+
+    @property
+    @abstractmethod
+    def known_nm(self) -> tuple[float, float]:
+        """Where the optics are known, nm: beyond, wavelengths that are not traced are refused."""
+
+    def check_wavelengths(self, wavelength_nm) -> None:
+        """A `ValueError` for wavelengths at which the optics or the phase function are not known; traced ones pass."""
+        for part in (self, self.phase):
+            if part is not None:
+                check_wavelength(wavelength_nm, *part.known_nm, f"all that {type(part).__name__} knows")
 
     @abstractmethod
     def optical_depth_at(self, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
@@ -43,6 +54,7 @@ class Prescribed(AbstractConstituent):
         converter=as_float, default=1.0, metadata=within(0.0, 1.0)
     )
     smooth_in_wavelength: ClassVar[bool] = False
+    known_nm: ClassVar[tuple[float, float]] = ALL_WAVELENGTHS
 
     def optical_depth_at(self, wavelength_nm):
         if self.optical_depth.shape != wavelength_nm.shape:

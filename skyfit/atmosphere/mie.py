@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics import as_float, chebyshev_weights, check_range, gauss_legendre, within
+from ..numerics import as_float, chebyshev_weights, check_range, check_wavelength, gauss_legendre, within
 from ..tables import read_arrays
 from .constituent import AbstractConstituent
 from .phase import AbstractPhase, REFERENCE_WAVELENGTH
@@ -26,6 +26,7 @@ from .profile import AbstractProfile, Exponential, HAZE_SCALE_HEIGHT
 _LEAST_WIDTH = 0.25
 # micrometres, far beyond what the classes hold
 _RADII = (1e-3, 1e3)
+_KNOWN_NM = (300.0, 1100.0)
 _OF_TABLE = "of the table of spheres: soot and iron are beyond it, `Prescribed` takes optics of one's own"
 # nodes of an integral over each interval between tabulated angles
 _NODES_BETWEEN = 12
@@ -172,6 +173,7 @@ class TwoModePhase(AbstractPhase):
 
     modes: _Modes
     last_degree: ClassVar[int | None] = None
+    known_nm: ClassVar[tuple[float, float]] = _KNOWN_NM
 
     def _by_angle(self, wavelength_nm, ratios=()) -> list[Float[Array, "angle wavelength"]]:
         """F11 at the tabulated angles, then F11 times each of `ratios`, in arbitrary units."""
@@ -183,6 +185,7 @@ class TwoModePhase(AbstractPhase):
 
     def at_haversine(self, haversine, wavelength_nm):
         check_range("haversine", haversine, 0.0, 1.0)
+        check_wavelength(wavelength_nm, *self.known_nm, "all that TwoModePhase knows")
         (by_angle,) = self._by_angle(wavelength_nm)
         total = _moment_weights(1).astype(by_angle.dtype) @ by_angle
         return _angle_weights(jnp.clip(haversine, 0.0, 1.0)) @ _with_ends(by_angle / total)
@@ -234,6 +237,7 @@ class TwoModeAerosol(AbstractConstituent):
     )
     profile: AbstractProfile = eqx.field(default_factory=lambda: Exponential(HAZE_SCALE_HEIGHT))
     smooth_in_wavelength: ClassVar[bool] = True
+    known_nm: ClassVar[tuple[float, float]] = _KNOWN_NM
 
     @property
     def _modes(self) -> _Modes:
@@ -276,6 +280,7 @@ class TwoModeAerosol(AbstractConstituent):
         return jnp.sum(volumes) / jnp.sum(volumes / radii)
 
     def optical_depth_at(self, wavelength_nm):
+        self.check_wavelengths(wavelength_nm)
         return self.optical_depth * self._modes.depths(wavelength_nm)[0]
 
     def single_scattering_albedo_at(self, wavelength_nm):

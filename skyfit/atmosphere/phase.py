@@ -14,17 +14,20 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ..numerics import (
+    ALL_WAVELENGTHS,
     as_float,
     associated_legendre,
     check_increasing,
     check_radians,
     check_range,
+    check_wavelength,
     gauss_legendre,
     hat_weights,
     IN_MICROMETRES,
     radians_within,
     Ranged,
     spin_legendre,
+    table_range,
     within,
 )
 from ..tables import read_table
@@ -47,6 +50,11 @@ class AbstractPhase(Ranged):
 
     # the degree of the last moment that is not zero, None where they go on
     last_degree: eqx.AbstractClassVar[int | None]
+
+    @property
+    @abstractmethod
+    def known_nm(self) -> tuple[float, float]:
+        """Where it is known, nm: beyond, wavelengths that are not traced are refused."""
 
     @abstractmethod
     def at_haversine(
@@ -124,6 +132,7 @@ class RayleighPhase(AbstractPhase):
     # King factor 1.048 of air at 550 nm (Bodhaine et al. 1999, table 3), as 6 (F - 1) / (7 F + 3)
     depolarization: Float[Array, ""] = eqx.field(converter=as_float, default=0.0279, metadata=within(0.0, 1.0))
     last_degree: ClassVar[int | None] = 2
+    known_nm: ClassVar[tuple[float, float]] = ALL_WAVELENGTHS
 
     def at_haversine(self, haversine, wavelength_nm):
         check_range("haversine", haversine, 0.0, 1.0)
@@ -164,6 +173,7 @@ class HenyeyGreenstein(AbstractPhase):
     asymmetry: Float[Array, ""] = eqx.field(converter=as_float, metadata=_ASYMMETRY)
     polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION, metadata=within(0.0, 1.0))
     last_degree: ClassVar[int | None] = None
+    known_nm: ClassVar[tuple[float, float]] = ALL_WAVELENGTHS
 
     def at_haversine(self, haversine, wavelength_nm):
         return _henyey_greenstein(haversine, self.asymmetry)[:, None]
@@ -189,6 +199,7 @@ class TwoTermHenyeyGreenstein(AbstractPhase):
     forward_fraction_slope: Float[Array, ""] = eqx.field(converter=as_float, default=0.0, metadata=within(-10.0, 10.0))
     polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION, metadata=within(0.0, 1.0))
     last_degree: ClassVar[int | None] = None
+    known_nm: ClassVar[tuple[float, float]] = ALL_WAVELENGTHS
 
     def _fraction(self, wavelength_nm):
         ratio = jnp.log(wavelength_nm / REFERENCE_WAVELENGTH)
@@ -217,6 +228,7 @@ class CornetteShanks(AbstractPhase):
     asymmetry: Float[Array, ""] = eqx.field(converter=as_float, metadata=_ASYMMETRY)
     polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION, metadata=within(0.0, 1.0))
     last_degree: ClassVar[int | None] = None
+    known_nm: ClassVar[tuple[float, float]] = ALL_WAVELENGTHS
 
     def at_haversine(self, haversine, wavelength_nm):
         cosine = 1.0 - 2.0 * haversine
@@ -243,7 +255,9 @@ class Tabulated(AbstractPhase):
     """A table of log values over angle and wavelength, interpolated linearly in both and normalised.
 
     `angle` radians `[angle]`, increasing; `table_wavelength_nm` `[band]`; `log_value` `[angle, band]`.
-    Beyond the table the end values hold.
+
+    **Valid:** angles beyond the table have the end's value. Wavelengths beyond it are a `ValueError`, and traced ones
+    have the end's value.
     """
 
     angle: Float[Array, " angle"] = eqx.field(converter=as_float, metadata=radians_within(0.0, np.pi))
@@ -251,6 +265,11 @@ class Tabulated(AbstractPhase):
     log_value: Float[Array, "angle band"] = eqx.field(converter=as_float, metadata=within(-80.0, 80.0))
     polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION, metadata=within(0.0, 1.0))
     last_degree: ClassVar[int | None] = None
+
+    @property
+    def known_nm(self) -> tuple[float, float]:
+        """Where the table is known, nm."""
+        return table_range(self.table_wavelength_nm)
 
     def __check_init__(self):
         check_increasing("angle", self.angle)
@@ -260,16 +279,20 @@ class Tabulated(AbstractPhase):
     def bullrich(cls) -> "Tabulated":
         """Haze by Bullrich's eta for Junge's exponent 4, 400-850 nm: Preetham 1999, Table 1.
 
+        **Valid:** 300 to 1100 nm: the phase function of Junge's distribution does not change with wavelength but for
+        the refractive index, and the bands at 400 and 850 nm stand for all beyond.
+
         Log eta is interpolated (the paper gives no rule; linear interpolation misses its own K by 7 %).
         """
         table = read_table("preetham_table1_eta.csv")
         names = [name for name in table if name.startswith("eta_")]
         bands = np.array([float(name.removeprefix("eta_").removesuffix("nm")) for name in names])
         values = np.stack([table[name] for name in names], axis=1)
-        return cls(np.radians(table["theta_deg"]), bands, np.log(values))
+        return cls(np.radians(table["theta_deg"]), *held(bands, np.log(values)))
 
     def _unnormalised(self, haversine, wavelength_nm):
         check_range("haversine", haversine, 0.0, 1.0)
+        check_wavelength(wavelength_nm, *self.known_nm, "all that Tabulated knows")
         inside = jnp.clip(haversine, 1e-12, 1.0 - 1e-6)
         angle = 2.0 * jnp.arctan2(jnp.sqrt(inside), jnp.sqrt(1.0 - inside))
         over_wavelength = self.log_value @ hat_weights(wavelength_nm, self.table_wavelength_nm).T
@@ -293,3 +316,10 @@ class Tabulated(AbstractPhase):
 
     def matrix(self, haversine, wavelength_nm):
         return polarised_like_air(haversine, self.polarisation)
+
+
+def held(table_nm: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A table, wavelengths along its last axis, with its end values once more at 300 and 1100 nm."""
+    return np.concatenate([[300.0], table_nm, [1100.0]]), np.concatenate(
+        [values[..., :1], values, values[..., -1:]], axis=-1
+    )

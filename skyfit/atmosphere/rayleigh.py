@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics import as_float, check_range, within
+from ..numerics import ALL_WAVELENGTHS, as_float, check_range, within
 from .constituent import AbstractConstituent
 from .phase import AbstractPhase, RayleighPhase
 from .profile import AbstractProfile, Exponential
@@ -74,6 +74,7 @@ class Rayleigh(AbstractConstituent):
     profile: AbstractProfile = eqx.field(default_factory=lambda: Exponential(AIR_SCALE_HEIGHT))
     formula: Literal["bodhaine", "paper"] = eqx.field(static=True, default="bodhaine")
     smooth_in_wavelength: ClassVar[bool] = True
+    known_nm: ClassVar[tuple[float, float]] = ALL_WAVELENGTHS
 
     def __check_init__(self):
         if self.formula not in ("bodhaine", "paper"):

@@ -25,6 +25,7 @@ from .legendre import (
 )
 from .quadrature import gauss_legendre as gauss_legendre
 from .ranges import (
+    ALL_WAVELENGTHS as ALL_WAVELENGTHS,
     as_float_or_none as as_float_or_none,
     check_increasing as check_increasing,
     check_radians as check_radians,
@@ -35,5 +36,6 @@ from .ranges import (
     IN_MICROMETRES as IN_MICROMETRES,
     radians_within as radians_within,
     Ranged as Ranged,
+    table_range as table_range,
     within as within,
 )

@@ -16,6 +16,8 @@ _ROUNDING = 1e-6
 _LENGTH = 1e-3
 # hints of what was meant
 IN_MICROMETRES = "micrometres times 1000"
+# nm, of formulas and of what is given at the wavelengths that are asked for
+ALL_WAVELENGTHS = (0.0, float("inf"))
 _IN_DEGREES = "angles are radians: np.radians(degrees)"
 
 
@@ -72,6 +74,20 @@ def check_unit_vectors(name: str, value) -> None:
 def check_wavelength(wavelength_nm, low: float, high: float, of: str) -> None:
     """`check_range` of wavelengths in nm by the table or formula that has none beyond, named by `of`."""
     check_range("wavelength_nm", wavelength_nm, low, high, "nm", of)
+
+
+def table_range(table_nm, values=None) -> tuple[float, float]:
+    """The wavelengths at which a table is known: between its ends, and beyond one where its value is 0.
+
+    **Arguments:** `table_nm`, increasing along its last axis; `values` there, None if 0 at an end says nothing.
+    **Returns:** two wavelengths, nm; all of them for a table that is traced.
+    """
+    low, high = ALL_WAVELENGTHS
+    nodes, known = concrete(table_nm), concrete(values)
+    if nodes is None or nodes.size == 0 or (values is not None and known is None):
+        return low, high
+    starts, ends = (known is None or bool(np.any(known[..., at] != 0.0)) for at in (0, -1))
+    return float(nodes[..., 0].max()) if starts else low, float(nodes[..., -1].min()) if ends else high
 
 
 def within(low: float, high: float, unit: str = "", hint: str = "") -> dict[str, tuple]:

@@ -6,7 +6,18 @@ from jaxtyping import Array, Float
 
 from ..atmosphere import Atmosphere, Ground
 from ..scene import Scene
-from .contract import AbstractSolver, check_geometry, check_on_ground, Geometry, Irradiances, SCALAR_ERROR
+from .contract import (
+    AbstractSolver,
+    check_geometry,
+    check_on_ground,
+    checked,
+    FLAT_SUNS,
+    Geometry,
+    Irradiances,
+    SCALAR_ERROR,
+    SPHERICAL_SUNS,
+    Suns,
+)
 from .optics import optics, scatterer_indices, transmitted_sun
 from .orders.layering import Resolution
 from .orders.solver import streamed_light
@@ -56,19 +67,23 @@ class DoubleScattering(AbstractSolver):
         return cls(streams=16, modes=24, levels=100, nodes=64, spectral_nodes=0, geometry=geometry)
 
     @property
+    def suns(self) -> Suns:
+        return SPHERICAL_SUNS if self.geometry == "spherical" else FLAT_SUNS
+
+    @property
     def model_error(self) -> float:
         return SCALAR_ERROR
 
     def coarser(self) -> AbstractSolver:
         return self
 
-    @eqx.filter_jit
+    @checked
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance by the first two orders of scattering, W m^-2 sr^-1 nm^-1."""
         check_on_ground(scene, "DoubleScattering")
         return streamed_light(_over_black(atmosphere), scene, self._resolution(1), self.nodes, self.spectral_nodes)[0]
 
-    @eqx.filter_jit
+    @checked
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground: the direct beam, the light scattered once or twice, the ground's reflection."""
         check_on_ground(scene, "DoubleScattering")
