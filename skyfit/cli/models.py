@@ -25,6 +25,10 @@ def make_solver(name: str, preset: PresetName, geometry: GeometryName, polarised
     """The solver of some words; only `orders` may be polarised."""
     if name not in SOLVERS:
         raise ValueError(f"`--solver` must be one of {', '.join(SOLVERS)}, got {name!r}")
+    if name == "uniform" and geometry is not GeometryName.flat:
+        raise ValueError(
+            f"`--geometry` must be flat with `--solver uniform`, which knows no other, got {geometry.value}"
+        )
     if polarised and name != "orders":
         raise ValueError(f"`--polarised` must be left out with `--solver {name}`: only orders knows polarisation")
     settings = {"polarised": True} if polarised else {}
