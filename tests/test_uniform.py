@@ -13,6 +13,9 @@ from skyfit.scene import relative_airmass
 from skyfit.transport import Uniform
 
 
+# what is held here is each integral itself, not how far its sky may be off under a low sun
+pytestmark = pytest.mark.filterwarnings("ignore::skyfit.LowSunWarning")
+
 RGB = np.array(HOFFMAN_WAVELENGTHS)
 AIR = Rayleigh(formula="paper", profile=Exponential(8400.0))
 

@@ -14,6 +14,9 @@ from skyfit.atmosphere import Exponential, HenyeyGreenstein, Prescribed
 from skyfit.transport import AbstractSolver, Suns
 
 
+# what is held here is each integral itself, not how far its sky may be off under a low sun
+pytestmark = pytest.mark.filterwarnings("ignore::skyfit.LowSunWarning")
+
 WAVELENGTHS = np.array([400.0, 550.0, 800.0])
 SOLVERS = {
     "single": SingleScattering.draft(),

@@ -166,7 +166,8 @@ def low_sun(solver: AbstractSolver, sun_zenith) -> str | None:
     if suns.error is None or zenith is None or not zenith.size:
         return None
     sun = float(np.degrees(zenith.max()))
-    if not suns.largest_deg - _LAST_DEG < sun <= suns.largest_deg + 1e-4:
+    # to what float32 tells apart
+    if not suns.largest_deg - _LAST_DEG + 1e-4 < sun <= suns.largest_deg + 1e-4:
         return None
     return (
         f"the sun is {sun:.4g} degrees from the zenith: {type(solver).__name__} in {solver.geometry} geometry may be "
