@@ -171,7 +171,7 @@ def low_sun(solver: AbstractSolver, sun_zenith) -> str | None:
         return None
     return (
         f"the sun is {sun:.4g} degrees from the zenith: {type(solver).__name__} in {solver.geometry} geometry may be "
-        f"{100.0 * suns.error:.2g} % off from {suns.largest_deg - _LAST_DEG:g} degrees on"
+        f"{100.0 * suns.error:.0f} % off from {suns.largest_deg - _LAST_DEG:g} degrees on"
     )
 
 
