@@ -91,6 +91,7 @@ from .transport import (
     constant_ambient as constant_ambient,
     DoubleScattering as DoubleScattering,
     Irradiances as Irradiances,
+    LowSunWarning as LowSunWarning,
     OrdersOfScattering as OrdersOfScattering,
     Path as Path,
     scattered_light as scattered_light,

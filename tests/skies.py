@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 import skyfit
 from skyfit import Sky
 from skyfit.atmosphere import Aerosol, Exponential, Ground, HenyeyGreenstein, Ozone, Prescribed, Rayleigh, RayleighPhase
+from skyfit.numerics import as_float
 from skyfit.retrieve import Fit, Fitted, invert, predict, start_model, with_values
 from skyfit.scene import angle_between
 from skyfit.transport import DoubleScattering, OrdersOfScattering, Shells, SingleScattering, Uniform
@@ -85,7 +87,8 @@ def hazy(**changes):
         "ground": 0.2,
     } | changes
     atmosphere = skyfit.Atmosphere(
-        Rayleigh(values["pressure"]),
+        # none at all too, which no weather has
+        eqx.tree_at(lambda air: air.pressure, Rayleigh(), as_float(values["pressure"])),
         Aerosol(
             values["haze"],
             1.2,

@@ -466,6 +466,24 @@ BROKEN = {
     # refit's own haze is a table: an asymmetry must not be lost with it
     "asymmetry of refit": (("refit", "--asymmetry", "1", "--out", "new"), ["--asymmetry", "0.98", "got 1"]),
     "refit below the horizon": (("refit", "--flat-below", "95", "--out", "new"), ["--flat-below", "95"]),
+    "refit to twilight over a flat Earth": (
+        ("refit", "--form", "extended", "--geometry", "flat", "--out", "new"),
+        ["`solver`", "92 degrees", "flat", "85"],
+    ),
+    "refit to twilight by shells": (
+        ("refit", "--form", "extended", "--solver", "shells", "--out", "new"),
+        ["`solver`", "92 degrees", "Shells", "90"],
+    ),
+    "refit by uniform air": (("refit", "--solver", "uniform", "--out", "new"), ["--geometry", "--solver uniform"]),
+    "a sphere of uniform air": (
+        ("simulate", "--sun-zenith", "50", "--turbidity", "3", "--solver", "uniform", "--out", "new.nc"),
+        ["--geometry", "--solver uniform"],
+    ),
+    "low sun over a flat Earth": (
+        ("simulate", "--sun-zenith", "86", "--turbidity", "3", "--geometry", "flat", "--out", "new.nc"),
+        ["--sun-zenith", "85", "86"],
+    ),
+    "hectopascals": ((*SIMULATE, "--turbidity", "3", "--pressure", "1013.25"), ["--pressure", "2000", "1013.25"]),
     "refit with no haze": (("refit", "--haze-height", "0", "--out", "new"), ["--haze-height", "0"]),
     "turbidity too small": ((*SIMULATE, "--turbidity", "0.5"), ["--turbidity", "0.5"]),
     "turbidity nan": ((*SIMULATE, "--turbidity", "nan"), ["--turbidity", "nan"]),

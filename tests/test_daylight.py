@@ -139,7 +139,7 @@ def test_gradient_is_the_central_difference():
 
 @pytest.mark.parametrize("bad", [299.9, 830.1, float("nan")])
 def test_wavelengths_outside_are_refused_where_they_can_be_seen(bad, precision):
-    with pytest.raises(ValueError, match=f"`wavelength_nm` must be within 300-830 nm.*got {bad:g}"):
+    with pytest.raises(ValueError, match=f"`wavelength_nm` must be between 300 and 830 nm.*got {bad:g}"):
         daylight(*D65, np.array([500.0, bad]))
     traced = jax.jit(lambda w: daylight(*D65, w))(jnp.array([200.0, 300.0, 830.0, 2000.0]))
     assert float(traced[0]) == float(traced[1]) and float(traced[2]) == float(traced[3])

@@ -207,7 +207,7 @@ def test_steep_tables_do_not_run_away():
         ([0.0, 1.0], [1.0, 1.0, 1.0], "`height` and `density_at` must be 1-d"),
         ([0.0], [1.0], "two levels at least"),
         ([1.0, 2.0], [1.0, 1.0], "`height` must begin at 0"),
-        ([0.0, 2.0, 1.0], [1.0, 1.0, 1.0], "`height` must begin at 0 and increase"),
+        ([0.0, 2.0, 1.0], [1.0, 1.0, 1.0], "`height` must increase"),
         ([0.0, 1.0], [1.0, 0.0], "`density_at` must be positive"),
     ],
 )

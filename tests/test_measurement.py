@@ -68,11 +68,11 @@ def test_losses_are_finite_with_their_gradients_in_both_precisions(loss):
     ("change", "said"),
     [
         ({"relative": -0.1}, "`relative` must be between 0 and 1, got -0.1"),
-        ({"floor": 2.0}, "`floor` must be between 0 and 1, got 2.0"),
+        ({"floor": 2.0}, "`floor` must be between 0 and 1, got 2"),
         ({"calibration": np.nan}, "`calibration` must be between 0 and 1, got nan"),
         ({"model_error": np.inf}, "`model_error` must be between 0 and 1, got inf"),
-        ({"field_of_view": 5.0}, "`field_of_view` must be between 0 and 0.5, got 5.0"),
-        ({"threshold": 0.0}, "`threshold` must be between 0.5 and 1000, got 0.0"),
+        ({"field_of_view": 5.0}, "`field_of_view` must be between 0 and 0.5, got 5"),
+        ({"threshold": 0.0}, "`threshold` must be between 0.5 and 1000, got 0"),
         ({"relative": 0.0}, "`relative` and `floor` must not both be 0"),
         ({"relative": 0.0, "floor": 0.0}, "`relative` and `floor` must not both be 0"),
         ({"floor": 0.0}, "`relative` and `floor` must not both be 0"),
@@ -190,8 +190,8 @@ def test_linear_srgb_is_the_matrix_of_the_standard_times_xyz():
     [
         ([400.0, 500.0], [[1.0, 1.0, 1.0]], r"`weight` must be \[channel, wavelength\]"),
         ([500.0, 400.0], [[1.0, 1.0]], "`wavelength_nm` increase"),
-        ([400.0, 500.0], [[1.0, np.nan]], "`weight` must be finite"),
-        ([400.0, 5000.0], [[1.0, 1.0]], "within 300-1100 nm"),
+        ([400.0, 500.0], [[1.0, np.nan]], "`weight` must be between -1e.30 and 1e.30, got nan"),
+        ([400.0, 5000.0], [[1.0, 1.0]], "between 300 and 1100 nm"),
         ([400.0, 500.0], [[1.0, 1.0], [0.0, 0.0]], "`weight` must not be 0 everywhere in a channel"),
     ],
 )

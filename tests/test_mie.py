@@ -231,6 +231,25 @@ def test_what_is_not_absorbed_is_scattered(x64):
     )
 
 
+def test_particles_beyond_the_table_are_refused_and_not_taken_for_its_last():
+    """Soot, n 1.75, k 0.44: a single-scattering albedo of 0.354 by Mie theory; the corner of the table has 0.595."""
+    soot = {"fine_fraction": 1.0, "fine_radius": 0.1, "fine_width": 0.45}
+    for beyond, wanted in (
+        ({"refractive_index": 1.75}, "`refractive_index` must be between 1.33 and 1.6, got 1.75 "),
+        ({"absorption_index": 0.44}, "`absorption_index` must be between 0 and 0.1, got 0.44 "),
+        ({"fine_radius": 0.01}, "`fine_radius` must be between 0.05 and 0.5 um, got 0.01"),
+        ({"coarse_width": 1.2}, "`coarse_width` must be between 0.3 and 0.9, got 1.2"),
+    ):
+        with pytest.raises(ValueError, match=wanted):
+            TwoModeAerosol(0.3, **(soot | beyond))
+    # what is traced has the value of the table's end, as the class says
+
+    def albedo(k):
+        return TwoModeAerosol(0.3, absorption_index=k).single_scattering_albedo_at(jnp.array([550.0]))[0]
+
+    assert float(jax.jit(albedo)(0.44)) == pytest.approx(float(jax.jit(albedo)(0.1)), rel=1e-6)
+
+
 def test_effective_radii_are_volume_over_surface(x64):
     """Of the lognormal, by quadrature over ln r."""
     made = aerosol(START)

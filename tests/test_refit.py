@@ -244,3 +244,11 @@ def test_another_haze_can_be_given():
     np.testing.assert_allclose(np.degrees(result.fitted.sun_zenith), np.repeat(SUNS, 3), rtol=1e-6)
     np.testing.assert_allclose(result.fitted.turbidity, np.tile(HAZES, 4))
     assert result.fitted.overall["refitted"][0] < result.fitted.overall["published"][0]
+
+
+def test_a_fit_of_skies_without_light_ends_before_it_begins():
+    def nothing(turbidity):
+        return skyfit.Atmosphere(None, None, None)
+
+    with pytest.raises(ValueError, match="`solver` must give light in all directions, got none .* SingleScattering"):
+        skyfit.refit(skyfit.SingleScattering.draft(), nothing, directions=20)

@@ -68,11 +68,11 @@ def test_preetham_sun_is_two_percent_darker():
 @pytest.mark.parametrize(
     ("wavelength", "fwhm", "source", "message"),
     [
-        (299.9, None, "astm_g173", "within 300-1100 nm.*got 299.9"),
-        (1100.1, None, "astm_g173", "within 300-1100 nm"),
-        (float("nan"), None, "astm_g173", "within 300-1100 nm"),
-        (750.1, None, "preetham", "within 380-750 nm"),
-        (379.0, None, "preetham", "within 380-750 nm"),
+        (299.9, None, "astm_g173", "between 300 and 1100 nm.*got 299.9"),
+        (1100.1, None, "astm_g173", "between 300 and 1100 nm"),
+        (float("nan"), None, "astm_g173", "between 300 and 1100 nm"),
+        (750.1, None, "preetham", "between 380 and 750 nm"),
+        (379.0, None, "preetham", "between 380 and 750 nm"),
         (380.0, 6.0, "preetham", "`fwhm_nm` = 6 must leave 10.2 nm"),
         (300.0, 20.0, "astm_g173", "`fwhm_nm` = 20 must leave"),
         (550.0, 0.0, "astm_g173", "`fwhm_nm` must be positive"),

@@ -97,11 +97,11 @@ def test_ithaca_on_a_may_morning(x64):
 
 
 def test_degrees_are_refused():
-    with pytest.raises(ValueError, match="`latitude` must be within .*1.571 rad, got 42.44"):
+    with pytest.raises(ValueError, match="`latitude` must be between -1.5708 and 1.5708 rad, got 42.44"):
         short_sun_position(8.0, 147, 42.44)
-    with pytest.raises(ValueError, match="`longitude_west` must be within .*6.283 rad, got 76.5"):
+    with pytest.raises(ValueError, match="`longitude_west` must be between -6.28319 and 6.28319 rad, got 76.5"):
         solar_time(8.0, 147, 76.5, 1.3)
-    with pytest.raises(ValueError, match="`meridian_west` must be within .*rad, got 75"):
+    with pytest.raises(ValueError, match="`meridian_west` must be between .* rad, got 75"):
         solar_time(8.0, 147, 1.3, 75.0)
 
 

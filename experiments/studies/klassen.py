@@ -7,6 +7,7 @@ import statistics
 import time
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import matplotlib
@@ -44,7 +45,9 @@ def make_atmosphere(haze=0.08, thickness=1500.0, air=1.0):
     """`haze` is the optical depth of 1.5 km of it: thicker haze is more of the same density."""
     depth = haze * thickness / 1500.0
     aerosol = Aerosol(depth, 0.8, 0.97, 0.0, HenyeyGreenstein(0.76), Exponential(thickness))
-    return skyfit.Atmosphere(Rayleigh(air * SEA_LEVEL_PRESSURE), aerosol)
+    # more air than any planet's weather has
+    rayleigh = eqx.tree_at(lambda r: r.pressure, Rayleigh(), jnp.asarray(air * SEA_LEVEL_PRESSURE))
+    return skyfit.Atmosphere(rayleigh, aerosol)
 
 
 def scene_of(sun_elevation, view, height=None, sun_azimuth=0.0):

@@ -2,21 +2,19 @@
 
 from abc import abstractmethod
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..light import daylight, xyz_from_xyY
-from ..numerics import safe_sqrt
+from ..numerics import check_radians, check_unit_vectors, concrete, Ranged, safe_sqrt
 from ..scene import above_horizon, angle_between, Scene
 from . import pixels
 from .perez import Perez
 
 
-class AbstractAnalyticSky(eqx.Module):
+class AbstractAnalyticSky(Ranged):
     """A clear sky in closed form, by turbidity and the sun's zenith angle."""
 
     @abstractmethod
@@ -57,10 +55,12 @@ class AbstractAnalyticSky(eqx.Module):
         **Arguments:** `turbidity`; `theta_sun` sun zenith angle; `theta` view zenith angle and
         `gamma` angle from the sun, `[direction]`; radians.
         **Returns:** Y in cd m^-2, x, y, each `[direction]`.
-        **Valid:** where `valid` says so; nothing is raised here. Directions below the horizon get the horizon's
+        **Valid:** where `valid` says so: of turbidity and sun nothing is raised here. Angles from 0 to pi, else
+        `ValueError` where they are not traced. Directions below the horizon get the horizon's
         value of F at their gamma.
         **Source:** Preetham 1999 eq. 4, A.2.
         """
+        check_radians("theta_sun", theta_sun, 0.0, np.pi)
         zenith = self.zenith(turbidity, theta_sun)
         shape = self.perez(turbidity, theta_sun)
         luminance, x, y = (
@@ -106,8 +106,9 @@ class AbstractAnalyticSky(eqx.Module):
         **Returns:** red, green, blue in cd m^-2, `[3, direction]`: white of that luminance has three equal values.
         Times an exposure and through `skyfit.light.srgb_from_linear` it is a pixel. Not clipped: a colour outside the
         screen's range has a negative component. 0 below the horizon, z < -1e-6.
-        **Valid:** as `radiance`; float32 within 1e-5 of the largest component, against `xyz` in float64. Fast
-        outside jit, where it runs as three programs; within another one, it is right and slower.
+        **Valid:** as `radiance`; vectors of length 1, else `ValueError` where they are not traced; float32 within 1e-5
+        of the largest component, against `xyz` in float64. Fast outside jit, where it runs as three programs; within
+        another one, it is right and slower.
         **Source:** Preetham 1999 eq. 4, A.2; IEC 61966-2-1:1999.
         """
         sun = jnp.asarray(sun)
@@ -116,6 +117,8 @@ class AbstractAnalyticSky(eqx.Module):
                 f"`sun` and `view` must have east, north, up as their first axis, got {sun.shape} and {view.shape}"
             )
         _check_scalar(turbidity)
+        check_unit_vectors("sun", sun)
+        check_unit_vectors("view", view)
         sun_zenith, scale, coefficients = _rows(self, turbidity, sun)
         self._check(turbidity, sun_zenith)
         return pixels.linear_srgb(*pixels.tristimulus(scale, coefficients, *pixels.geometry(sun, view)))
@@ -131,8 +134,9 @@ class AbstractAnalyticSky(eqx.Module):
 
     def _check(self, turbidity, sun_zenith) -> None:
         """`check_range` of what can be seen of the values while a program is traced."""
-        if not isinstance(turbidity, Tracer):
-            self.check_range(turbidity, 0.0 if isinstance(sun_zenith, Tracer) else sun_zenith)
+        haze, sun = concrete(turbidity), concrete(sun_zenith)
+        if haze is not None:
+            self.check_range(haze, 0.0 if sun is None else sun)
 
 
 def _check_scalar(turbidity) -> None:

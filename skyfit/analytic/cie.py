@@ -5,11 +5,10 @@ import math
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..light import equal_energy, xyY_from_xyz, xyz_from_xyY
-from ..numerics import as_float
+from ..numerics import as_float, check_radians, concrete, Ranged, within
 from ..scene import above_horizon, Scene
 from .analytic import AbstractAnalyticSky, check_sun_is_up
 from .perez import Perez
@@ -91,6 +90,7 @@ def overcast_zenith_luminance(theta_sun: Float[ArrayLike, ""]) -> Float[Array, "
     **Source:** the formula of Radiance's gensky; to 0.2 % the $\frac{9}{7\pi} (300 + 21000 \sin h)$ of Krochmann &
     Seidl 1974 and DIN 5034-2, which states the horizontal illuminance.
     """
+    check_radians("theta_sun", theta_sun, 0.0, math.pi)
     return 123.0 + 8600.0 * jnp.maximum(jnp.cos(theta_sun), 0.0)
 
 
@@ -104,11 +104,12 @@ def overcast_luminance(
     **Valid:** views above the horizon; below it the horizon's value. Zenith: `overcast_zenith_luminance`.
     **Source:** Moon & Spencer 1942, CIE 110-1994; Preetham 1999, eq. 2.
     """
+    check_radians("theta", theta, 0.0, math.pi)
     gradation = (1.0 + 2.0 * jnp.maximum(jnp.cos(theta), 0.0)) / 3.0
     return overcast_zenith_luminance(theta_sun) * gradation
 
 
-class Intermediate(eqx.Module):
+class Intermediate(Ranged):
     r"""A sky that turns from clear to overcast as turbidity rises.
 
     $L = (1 - w) L_{clear} + w L_{overcast}$, $w = 3s^2 - 2s^3$ with s rising from 0 at `clear_turbidity` to 1 at
@@ -122,13 +123,13 @@ class Intermediate(eqx.Module):
     """
 
     clear: AbstractAnalyticSky
-    clear_turbidity: Float[Array, ""] = eqx.field(converter=as_float, default=6.0)
-    overcast_turbidity: Float[Array, ""] = eqx.field(converter=as_float, default=10.0)
+    clear_turbidity: Float[Array, ""] = eqx.field(converter=as_float, default=6.0, metadata=within(0.0, 1e4))
+    overcast_turbidity: Float[Array, ""] = eqx.field(converter=as_float, default=10.0, metadata=within(0.0, 1e4))
 
     def __check_init__(self):
-        ends = (self.clear_turbidity, self.overcast_turbidity)
-        if not any(isinstance(end, Tracer) for end in ends) and not np.all(np.asarray(ends[0]) < np.asarray(ends[1])):
-            raise ValueError(f"`clear_turbidity` must be below `overcast_turbidity`, got {ends[0]} and {ends[1]}")
+        clear, overcast = concrete(self.clear_turbidity), concrete(self.overcast_turbidity)
+        if clear is not None and overcast is not None and not np.all(clear < overcast):
+            raise ValueError(f"`clear_turbidity` must be below `overcast_turbidity`, got {clear} and {overcast}")
 
     def overcast_share(self, turbidity: Float[ArrayLike, ""]) -> Float[Array, ""]:
         """The weight w of the overcast sky, 0 to 1, with a slope of 0 at both ends."""

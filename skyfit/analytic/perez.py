@@ -2,7 +2,10 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
+
+from ..numerics import as_float, check_radians, Ranged, within
 
 
 # cos(89.43 deg): from there down the sky keeps one value per angle from the sun
@@ -10,6 +13,8 @@ LOWEST_COSINE = 0.01
 # exp(20) = 5e8: the square of a product of two of them is still a float32
 LARGEST_EXPONENT = 20.0
 _SMALLEST_ZENITH = 1e-6
+# of a coefficient: any finite one, a float32
+_MOST = 1e38
 
 
 def perez_distribution(
@@ -24,11 +29,13 @@ def perez_distribution(
     **Arguments:** `coefficients` A, B, C, D, E, `[5]`; `theta` view zenith angle, `gamma` angle
     from the sun, radians, `[direction]`.
     **Returns:** dimensionless, `[direction]`.
-    **Valid:** theta below pi/2. The inputs are guarded: cos(theta) is at least 0.01, so that at
-    the horizon and below it the value is that of 89.43 degrees; the exponents are at most 20. Value
-    and gradients are finite everywhere.
+    **Valid:** theta below pi/2; angles outside 0 to pi are a `ValueError` where they are not traced. The inputs are
+    guarded: cos(theta) is at least 0.01, so that at the horizon and below it the value is that of 89.43 degrees; the
+    exponents are at most 20. Value and gradients are finite everywhere.
     **Source:** Perez et al. 1993 eq. 1; Preetham 1999 eq. 3.
     """
+    check_radians("theta", theta, 0.0, np.pi)
+    check_radians("gamma", gamma, 0.0, np.pi)
     a, b, c, d, e = coefficients
     cosine = jnp.maximum(jnp.cos(theta), LOWEST_COSINE)
     horizon = 1.0 + a * jnp.exp(jnp.minimum(b / cosine, LARGEST_EXPONENT))
@@ -36,7 +43,7 @@ def perez_distribution(
     return horizon * (1.0 + circumsolar + e * jnp.square(jnp.cos(gamma)))
 
 
-class Perez(eqx.Module):
+class Perez(Ranged):
     """Perez' distribution with its five coefficients; see `perez_distribution`.
 
     `horizon_darkening` A: negative brightens the horizon. `horizon_gradient` B: how near the
@@ -44,11 +51,11 @@ class Perez(eqx.Module):
     negative: nearer to 0 is wider. `backscatter` E.
     """
 
-    horizon_darkening: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    horizon_gradient: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    circumsolar_intensity: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    circumsolar_width: Float[Array, ""] = eqx.field(converter=jnp.asarray)
-    backscatter: Float[Array, ""] = eqx.field(converter=jnp.asarray)
+    horizon_darkening: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(-_MOST, _MOST))
+    horizon_gradient: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(-_MOST, _MOST))
+    circumsolar_intensity: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(-_MOST, _MOST))
+    circumsolar_width: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(-_MOST, _MOST))
+    backscatter: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(-_MOST, _MOST))
 
     @classmethod
     def from_coefficients(cls, coefficients: Float[Array, " parameter"]) -> "Perez":

@@ -13,10 +13,11 @@ from jaxtyping import Array, Float
 
 from ..atmosphere import Atmosphere, Tabulated
 from ..light import xyY_from_xyz, xyz, xyz_from_xyY
-from ..numerics import as_float
+from ..numerics import as_float, check_range
 from ..numerics.least_squares import result_name
 from ..scene import angle_between, Directions, hemisphere, Scene
-from ..transport import AbstractSolver, OrdersOfScattering
+from ..transport import AbstractSolver, DoubleScattering, OrdersOfScattering
+from ..transport.contract import FLAT_SUNS
 from .analytic import AbstractAnalyticSky
 from .extended import ExtendedPreetham, SUN_ZENITH_RANGE_DEG, TURBIDITY_RANGE
 from .joint import EXTENDED, fit_joint, LINEAR, UNIT
@@ -119,7 +120,8 @@ def refit(
     those of the paper for "linear" (Bullrich's haze), and for "extended" the range of `ExtendedPreetham` in
     `Atmosphere.from_turbidity`.
     **Returns:** `Refit`. **Valid:** sun zenith below 90 degrees; "extended": to 92.
-    **Errors:** `ValueError` for suns or turbidities that are too few or out of range.
+    **Errors:** `ValueError` for suns or turbidities that are too few or out of range, for suns that the solver does not
+    know, and for skies that it leaves without light.
     **Source:** Preetham 1999, sec. 3.2 and A.2; the relative error is what is minimised.
     """
     shape = {"linear": LINEAR, "extended": EXTENDED}.get(form)
@@ -129,10 +131,12 @@ def refit(
     suns = _grid(sun_zenith_deg, SUN_ZENITH_DEG if linear else EXTENDED_SUN_ZENITH_DEG)
     hazes = _grid(turbidity, TURBIDITY if linear else EXTENDED_TURBIDITY)
     _check_grids(suns, hazes, linear)
+    solver = OrdersOfScattering.normal() if solver is None else solver
+    _check_solver(solver, float(suns.max()))
+    check_range("flat_below_deg", flat_below_deg, 0.0, FLAT_SUNS.largest_deg, "degrees")
     if held_out < 1:
         raise ValueError(f"`held_out` must be at least 1, got {held_out}")
     atmosphere = atmosphere or (preetham_atmosphere if linear else Atmosphere.from_turbidity)
-    solver = OrdersOfScattering.normal() if solver is None else solver
     flat = None if flat_below_deg is None else dataclasses.replace(solver, geometry="flat")
     limit = as_float(0.0 if flat_below_deg is None else np.radians(flat_below_deg))
     report = progress or (lambda done, of: None)
@@ -143,6 +147,7 @@ def refit(
 
     def simulated(sun, haze):
         skies = _simulate(solver, flat, atmosphere, view, limit, as_float(sun), as_float(haze))
+        _check_lit(np.asarray(skies), solver, sun, haze)
         return _Simulated.of(skies, view, sun, haze, weight)
 
     sun, haze = (grid.ravel() for grid in np.meshgrid(np.radians(suns), hazes, indexing="ij"))
@@ -199,6 +204,29 @@ def _check_grids(suns, hazes, linear: bool) -> None:
     if np.unique(hazes).size < _SMALLEST_TURBIDITIES or not np.all((hazes >= 1.0) & (hazes <= most)):
         above = "" if linear else f" and <= {most:g}"
         raise ValueError(f"`turbidity` must hold at least three different values >= 1{above}, got {hazes.tolist()}")
+
+
+def _check_solver(solver: AbstractSolver, lowest_deg: float) -> None:
+    """A `ValueError` unless the solver knows all suns of a fit."""
+    known = solver.suns.largest_deg
+    # streams on a sphere go on into twilight
+    if solver.geometry == "spherical" and isinstance(solver, OrdersOfScattering | DoubleScattering):
+        known = max(known, SUN_ZENITH_RANGE_DEG[1])
+    if lowest_deg > known:
+        raise ValueError(
+            f"`solver` must know the suns of the fit, to {lowest_deg:g} degrees from the zenith: "
+            f"{type(solver).__name__} in {solver.geometry} geometry knows them to {known:g}"
+        )
+
+
+def _check_lit(skies: np.ndarray, solver: AbstractSolver, sun: np.ndarray, turbidity: np.ndarray) -> None:
+    """A `ValueError` for a simulated sky of which nothing can be fitted, before the fits."""
+    bad = ~np.all(np.isfinite(skies) & (skies > 0.0), axis=(1, 2))
+    if bad.any():
+        raise ValueError(
+            f"`solver` must give light in all directions, got none or no number by {type(solver).__name__} under a sun "
+            f"at {np.degrees(sun[bad][0]):.4g} degrees and turbidity {turbidity[bad][0]:g}"
+        )
 
 
 @eqx.filter_jit

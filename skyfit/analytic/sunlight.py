@@ -1,16 +1,15 @@
 """Sunlight at the ground: the sun behind air, haze, ozone, mixed gases and water vapour."""
 
+import math
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 from ..atmosphere import angstrom_coefficient, DOBSON_PER_METRE, Ozone, preetham_absorption
 from ..light import SUN_SOLID_ANGLE
-from ..numerics import as_float
+from ..numerics import as_float, check_radians, check_wavelength, Ranged, within
 from ..scene import LOWEST_VISIBLE, relative_airmass, Scene
 
 
@@ -36,7 +35,7 @@ class Transmittances(NamedTuple):
         return self.rayleigh * self.aerosol * self.ozone * self.mixed_gases * self.water_vapour
 
 
-class Sunlight(eqx.Module):
+class Sunlight(Ranged):
     r"""The sun seen from the ground at sea level through a haze of given turbidity.
 
     `turbidity`, dimensionless, >= 1; `angstrom_exponent` of the haze; `ozone`, m at NTP (0.0035 m are 350 Dobson
@@ -57,21 +56,10 @@ class Sunlight(eqx.Module):
     Riordan 1986, Table 1.
     """
 
-    turbidity: Float[Array, ""] = eqx.field(converter=as_float)
-    angstrom_exponent: Float[Array, ""] = eqx.field(converter=as_float, default=1.3)
-    ozone: Float[Array, ""] = eqx.field(converter=as_float, default=0.0035)
-    water_vapour: Float[Array, ""] = eqx.field(converter=as_float, default=0.02)
-
-    def __check_init__(self):
-        for name, low, high in (
-            ("turbidity", _LOWEST_TURBIDITY, np.inf),
-            ("ozone", 0.0, _MOST_OZONE),
-            ("water_vapour", 0.0, _MOST_WATER),
-        ):
-            value = getattr(self, name)
-            if not isinstance(value, Tracer) and not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
-                limits = f"at least {low:g}" if high == np.inf else f"between {low:g} and {high:g} m"
-                raise ValueError(f"`{name}` must be {limits}, got {np.asarray(value):g}")
+    turbidity: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(_LOWEST_TURBIDITY, 1e4))
+    angstrom_exponent: Float[Array, ""] = eqx.field(converter=as_float, default=1.3, metadata=within(-2.0, 6.0))
+    ozone: Float[Array, ""] = eqx.field(converter=as_float, default=0.0035, metadata=within(0.0, _MOST_OZONE, "m"))
+    water_vapour: Float[Array, ""] = eqx.field(converter=as_float, default=0.02, metadata=within(0.0, _MOST_WATER, "m"))
 
     def factors(
         self, theta_sun: Float[ArrayLike, ""], wavelength_nm: Float[ArrayLike, " wavelength"]
@@ -82,13 +70,8 @@ class Sunlight(eqx.Module):
         **Returns:** `Transmittances`. **Valid, source:** as the class; below the horizon the airmass is the horizon's.
         """
         wavelength_nm = as_float(wavelength_nm)
-        if not isinstance(wavelength_nm, Tracer):
-            concrete = np.asarray(wavelength_nm)
-            bad = ~((concrete >= _SHORTEST) & (concrete <= _LONGEST))
-            if bad.any():
-                raise ValueError(
-                    f"`wavelength_nm` must be within {_SHORTEST:g}-{_LONGEST:g} nm, got {concrete[bad][0]:g}"
-                )
+        check_radians("theta_sun", theta_sun, 0.0, math.pi)
+        check_wavelength(wavelength_nm, _SHORTEST, _LONGEST, "of the absorption coefficients")
         airmass = relative_airmass(as_float(theta_sun))
         per_water, mixed = (
             jnp.interp(wavelength_nm, *map(as_float, preetham_absorption(name)))

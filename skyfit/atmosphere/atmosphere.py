@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..numerics import as_float
+from ..numerics import as_float, Ranged, within
 from .aerosol import Aerosol
 from .constituent import AbstractConstituent
 from .gas import Ozone
@@ -22,16 +22,16 @@ from .turbidity import Relation, turbidity_to_optical_depth
 _RED_EDGE, _RED_EDGE_WIDTH = 716.0, 12.0
 
 
-class Ground(eqx.Module):
+class Ground(Ranged):
     """A Lambertian ground: `albedo` at 550 nm in [0, 1], its slope per unit of ln(wavelength / 550 nm).
 
     `red_edge`, how much more of the near infrared than of the red it reflects: 0.3 to 0.5 of green vegetation, for
     bare ground 0. `albedo` may also be given per wavelength of the scene, `[wavelength]`.
     """
 
-    albedo: Float[Array, "*wavelength"] = eqx.field(converter=as_float, default=0.1)
-    albedo_slope: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
-    red_edge: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
+    albedo: Float[Array, "*wavelength"] = eqx.field(converter=as_float, default=0.1, metadata=within(0.0, 1.0))
+    albedo_slope: Float[Array, ""] = eqx.field(converter=as_float, default=0.0, metadata=within(-10.0, 10.0))
+    red_edge: Float[Array, ""] = eqx.field(converter=as_float, default=0.0, metadata=within(-1.0, 1.0))
 
     def reflectance(self, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
         """The albedo at the given wavelengths."""
@@ -89,7 +89,7 @@ class Atmosphere(eqx.Module):
     def from_optical_depth(cls, optical_depth, **aerosol) -> "Atmosphere":
         """Air at sea level, 300 DU of ozone, ground albedo 0.1 and haze of this optical depth at 550 nm.
 
-        **Arguments:** `optical_depth` >= 0, may be traced; the other fields of `Aerosol` by name.
+        **Arguments:** `optical_depth`, 0 to 1000, may be traced; the other fields of `Aerosol` by name.
         **Returns:** an `Atmosphere`.
         """
         return cls(aerosol=Aerosol(optical_depth, **aerosol))

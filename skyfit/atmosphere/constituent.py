@@ -7,12 +7,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..numerics import as_float
+from ..numerics import ALL_WAVELENGTHS, as_float, check_wavelength, Ranged, within
 from .phase import AbstractPhase
 from .profile import AbstractProfile
 
 
-class AbstractConstituent(eqx.Module):
+class AbstractConstituent(Ranged):
     """Something in the air. `phase` is None where it only absorbs."""
 
     phase: eqx.AbstractVar[AbstractPhase | None]
@@ -21,6 +21,17 @@ class AbstractConstituent(eqx.Module):
     smooth_in_wavelength: eqx.AbstractClassVar[bool]
     # whether coarse streams see within a per cent what it changes from one wavelength to the next
     factors_out: ClassVar[bool] = True
+
+    @property
+    @abstractmethod
+    def known_nm(self) -> tuple[float, float]:
+        """Where the optics are known, nm: beyond, wavelengths that are not traced are refused."""
+
+    def check_wavelengths(self, wavelength_nm) -> None:
+        """A `ValueError` for wavelengths at which the optics or the phase function are not known; traced ones pass."""
+        for part in (self, self.phase):
+            if part is not None:
+                check_wavelength(wavelength_nm, *part.known_nm, f"all that {type(part).__name__} knows")
 
     @abstractmethod
     def optical_depth_at(self, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
@@ -38,12 +49,15 @@ class Prescribed(AbstractConstituent):
     or a scalar; `phase` (None: absorbs only) and `profile`. Stands in any place of an `Atmosphere`.
     """
 
-    optical_depth: Float[Array, " wavelength"] = eqx.field(converter=as_float)
+    optical_depth: Float[Array, " wavelength"] = eqx.field(converter=as_float, metadata=within(0.0, 1e4))
     profile: AbstractProfile
     phase: AbstractPhase | None = None
-    single_scattering_albedo: Float[Array, "*wavelength"] = eqx.field(converter=as_float, default=1.0)
+    single_scattering_albedo: Float[Array, "*wavelength"] = eqx.field(
+        converter=as_float, default=1.0, metadata=within(0.0, 1.0)
+    )
     smooth_in_wavelength: ClassVar[bool] = False
     factors_out: ClassVar[bool] = False
+    known_nm: ClassVar[tuple[float, float]] = ALL_WAVELENGTHS
 
     def optical_depth_at(self, wavelength_nm):
         if self.optical_depth.shape != wavelength_nm.shape:

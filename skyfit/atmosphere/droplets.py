@@ -7,30 +7,39 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics import as_float, hat_weights
+from ..numerics import as_float, check_increasing, hat_weights, table_range, within
 from ..tables import read_table
 from .constituent import AbstractConstituent
-from .phase import AbstractPhase, REFERENCE_WAVELENGTH, Tabulated
+from .phase import AbstractPhase, held, REFERENCE_WAVELENGTH, TABLE_WAVELENGTHS, Tabulated
 from .profile import Layered
 
 
 class Droplets(AbstractConstituent):
     r"""Droplets of one density from the ground to `thickness`: $\tau = \beta_{550}\, h\, Q(\lambda) / Q(550)$.
 
-    `coefficient`, extinction at 550 nm, m^-1, >= 0; `thickness` h in m, > 0; `efficiency` Q `[band]` at
-    `table_wavelength_nm` `[band]`, linear between, the end values beyond; `phase`; `single_scattering_albedo`.
+    `coefficient`, extinction at 550 nm, 0 to 10 m^-1; `thickness` h, 0.1 m to 100 km; `efficiency` Q `[band]` at
+    `table_wavelength_nm` `[band]`, linear between; `phase`; `single_scattering_albedo`.
     Stands in any place of an `Atmosphere`.
 
+    **Valid:** within the table; other wavelengths are a `ValueError`, traced ones have the end's value.
     **Source:** Klassen 1987, sec. 10 and 11: fog 0.015 to 0.040 m^-1, of uniform density; Q of Mie theory.
     """
 
-    coefficient: Float[Array, ""] = eqx.field(converter=as_float)
-    thickness: Float[Array, ""] = eqx.field(converter=as_float)
-    table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float)
-    efficiency: Float[Array, " band"] = eqx.field(converter=as_float)
+    coefficient: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(0.0, 10.0, "per metre"))
+    thickness: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(0.1, 1e5, "m"))
+    table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float, metadata=TABLE_WAVELENGTHS)
+    efficiency: Float[Array, " band"] = eqx.field(converter=as_float, metadata=within(0.0, 1e3))
     phase: AbstractPhase
-    single_scattering_albedo: Float[Array, ""] = eqx.field(converter=as_float, default=1.0)
+    single_scattering_albedo: Float[Array, ""] = eqx.field(converter=as_float, default=1.0, metadata=within(0.0, 1.0))
     smooth_in_wavelength: ClassVar[bool] = True
+
+    @property
+    def known_nm(self) -> tuple[float, float]:
+        """Where the table is known, nm."""
+        return table_range(self.table_wavelength_nm)
+
+    def __check_init__(self):
+        check_increasing("table_wavelength_nm", self.table_wavelength_nm)
 
     @classmethod
     def fog(cls, coefficient=0.02, thickness=100.0, phase: AbstractPhase | None = None) -> "Droplets":
@@ -38,24 +47,32 @@ class Droplets(AbstractConstituent):
 
         **Arguments:** `coefficient` in m^-1, `thickness` in m; `phase`, None for the tabulated one, whose forward
         peak is 20 degrees wide: a Henyey-Greenstein function of 0.85 stands for it where moments are few.
+        **Valid:** 300 to 1100 nm: drops that are large beside the wavelength have nearly one efficiency, and that of
+        400 and of 700 nm, the ends of the table, stands for all beyond.
         """
         return cls._of_kind("fog", coefficient, thickness, phase)
 
     @classmethod
     def wet_haze(cls, coefficient=1e-4, thickness=1200.0, phase: AbstractPhase | None = None) -> "Droplets":
-        """Wet haze: droplets of 0.3 micrometres, geometric standard deviation 1.6; arguments as for `fog`."""
+        """Wet haze: droplets of 0.3 micrometres, geometric standard deviation 1.6; arguments as for `fog`.
+
+        **Valid:** 400 to 700 nm.
+        """
         return cls._of_kind("wet_haze", coefficient, thickness, phase)
 
     @classmethod
     def _of_kind(cls, kind: str, coefficient, thickness, phase) -> "Droplets":
         means = read_table("droplet_efficiencies.csv")
         phase = droplet_phase(kind) if phase is None else phase
+        nm, efficiency = means["wavelength_nm"], means[f"{kind}_efficiency"]
+        if kind == "fog":
+            nm, efficiency = held(nm, efficiency)
         # pyright takes the inherited, abstract `profile` for an argument
         return cls(  # pyright: ignore[reportCallIssue]
             coefficient=coefficient,
             thickness=thickness,
-            table_wavelength_nm=means["wavelength_nm"],
-            efficiency=means[f"{kind}_efficiency"],
+            table_wavelength_nm=nm,
+            efficiency=efficiency,
             phase=phase,
         )
 
@@ -65,6 +82,8 @@ class Droplets(AbstractConstituent):
         return Layered(jnp.stack([jnp.zeros_like(self.thickness), self.thickness]), jnp.ones(1))
 
     def optical_depth_at(self, wavelength_nm):
+        self.check_wavelengths(wavelength_nm)
+
         def relative(wavelength):
             return hat_weights(wavelength, self.table_wavelength_nm) @ self.efficiency
 
@@ -78,7 +97,8 @@ class Droplets(AbstractConstituent):
 def droplet_phase(kind: str) -> Tabulated:
     """The tabulated phase function of a kind of droplets.
 
-    **Arguments:** `kind`, "fog" or "wet_haze". **Returns:** `Tabulated`, 400 to 700 nm.
+    **Arguments:** `kind`, "fog" or "wet_haze". **Returns:** `Tabulated`, 400 to 700 nm; fog's to 300 and 1100 nm by the
+    values of these ends.
     **Source:** Mie theory, Hale & Querry's water; data/droplets.csv.
     """
     table = read_table("droplets.csv")
@@ -86,4 +106,7 @@ def droplet_phase(kind: str) -> Tabulated:
     if not names:
         raise ValueError(f'`kind` must be "fog" or "wet_haze", got {kind!r}')
     bands = np.array([float(name.removeprefix(f"{kind}_").removesuffix("nm")) for name in names])
-    return Tabulated(np.radians(table["angle_deg"]), bands, np.stack([table[name] for name in names], axis=1))
+    values = np.stack([table[name] for name in names], axis=1)
+    if kind == "fog":
+        bands, values = held(bands, values)
+    return Tabulated(np.radians(table["angle_deg"]), bands, values)

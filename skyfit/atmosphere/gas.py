@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics import as_float, hat_weights
+from ..numerics import as_float, check_increasing, hat_weights, table_range, within
 from ..tables import read_table
 from .constituent import AbstractConstituent
+from .phase import TABLE_WAVELENGTHS
 from .profile import AbstractProfile, OzoneLayer
 
 
@@ -33,6 +34,7 @@ class AbstractGas(AbstractConstituent):
         """The vertical optical depth of one unit of the column."""
 
     def optical_depth_at(self, wavelength_nm):
+        self.check_wavelengths(wavelength_nm)
         return self.absorption(wavelength_nm) * self.column
 
     def single_scattering_albedo_at(self, wavelength_nm):
@@ -45,17 +47,23 @@ class Gas(AbstractGas):
     `column` in `unit`, >= 0; `table_wavelength_nm` `[band]`, increasing; `absorption_per_unit` `[band]`, the vertical
     optical depth of one unit of the column, >= 0; `profile`; `unit`, Dobson units ("DU") if nothing is said.
 
-    **Valid:** beyond the table the end values hold: let it end where the gas does not absorb.
+    **Valid:** within the table, and beyond an end whose value is 0, where the gas does not absorb; other wavelengths
+    are a `ValueError`, traced ones have the end's value.
     """
 
-    column: Float[Array, ""] = eqx.field(converter=as_float)
-    table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float)
-    absorption_per_unit: Float[Array, " band"] = eqx.field(converter=as_float)
+    column: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(0.0, 1e30))
+    table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float, metadata=TABLE_WAVELENGTHS)
+    absorption_per_unit: Float[Array, " band"] = eqx.field(converter=as_float, metadata=within(0.0, 1e30))
     profile: AbstractProfile
     unit: str = eqx.field(static=True, default="DU")
     phase: ClassVar[None] = None
     smooth_in_wavelength: ClassVar[bool] = True
     factors_out: ClassVar[bool] = False
+
+    @property
+    def known_nm(self) -> tuple[float, float]:
+        """Where the table is known, nm."""
+        return table_range(self.table_wavelength_nm, self.absorption_per_unit)
 
     def __check_init__(self):
         if self.table_wavelength_nm.shape != self.absorption_per_unit.shape:
@@ -63,6 +71,7 @@ class Gas(AbstractGas):
                 "`absorption_per_unit` must be given at `table_wavelength_nm`, "
                 f"got {self.absorption_per_unit.shape} for {self.table_wavelength_nm.shape}"
             )
+        check_increasing("table_wavelength_nm", self.table_wavelength_nm)
 
     @classmethod
     def from_cross_section(cls, column, table_wavelength_nm, cross_section, profile: AbstractProfile) -> "Gas":
@@ -86,32 +95,44 @@ class Gas(AbstractGas):
 class Ozone(AbstractGas):
     """Ozone: Chappuis and Huggins absorption.
 
-    `column` in Dobson units, >= 0; `profile`; `table` "spectrl2" (default) or "preetham". The coefficient is
+    `column` in Dobson units, 0 to 1000; `profile`; `table` "spectrl2" (default) or "preetham". The coefficient is
     interpolated in a 5-10 nm table, so the fine structure of the Huggins bands below 340 nm is smoothed.
+
+    **Valid:** from 300 nm; shorter wavelengths, whose Hartley band is up to 40 times as strong, are a `ValueError`
+    (traced ones have the value of 300 nm): `Gas.from_cross_section` takes a measured cross section.
 
     **Source:** Bird & Riordan 1986 (Leckner 1978), as shipped by pvlib; see data/spectrl2_absorption.csv. "preetham":
     Preetham 1999, Table 2, from 380 to 780 nm, where a gap is no absorption; it too is Leckner's and has the rows of
     580 to 680 nm that Bird & Riordan leave out, up to 5 % more; beyond, those of Bird & Riordan.
     """
 
-    column: Float[Array, ""] = eqx.field(converter=as_float, default=300.0)
+    column: Float[Array, ""] = eqx.field(converter=as_float, default=300.0, metadata=within(0.0, 1e3, "DU"))
     profile: AbstractProfile = eqx.field(default_factory=OzoneLayer)
     table: Literal["spectrl2", "preetham"] = eqx.field(static=True, default="spectrl2")
     unit: ClassVar[str] = "DU"
     phase: ClassVar[None] = None
     smooth_in_wavelength: ClassVar[bool] = True
 
+    @property
+    def known_nm(self) -> tuple[float, float]:
+        """Where the table is known, nm."""
+        return table_range(*self._table)
+
     def __check_init__(self):
         if self.table not in ("spectrl2", "preetham"):
             raise ValueError(f'`table` must be "spectrl2" or "preetham", got {self.table!r}')
 
-    def absorption(self, wavelength_nm):
+    @property
+    def _table(self) -> tuple[Float[np.ndarray, " band"], Float[np.ndarray, " band"]]:
+        """Wavelengths, nm, and the absorption of a Dobson unit there."""
         if self.table == "preetham":
             nm, per_metre = preetham_absorption("ozone_absorption")
-            per_dobson = per_metre / DOBSON_PER_METRE
-        else:
-            shipped = read_table("spectrl2_absorption.csv")
-            nm, per_dobson = shipped["wavelength_nm"], shipped["ozone_absorption"] / (_M_PER_CM * DOBSON_PER_METRE)
+            return nm, per_metre / DOBSON_PER_METRE
+        shipped = read_table("spectrl2_absorption.csv")
+        return shipped["wavelength_nm"], shipped["ozone_absorption"] / (_M_PER_CM * DOBSON_PER_METRE)
+
+    def absorption(self, wavelength_nm):
+        nm, per_dobson = self._table
         return hat_weights(as_float(wavelength_nm), as_float(nm)) @ as_float(per_dobson)
 
 

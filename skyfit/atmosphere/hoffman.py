@@ -2,10 +2,9 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
-from ..numerics import as_float, hat_weights
+from ..numerics import as_float, check_range, check_wavelength, hat_weights
 from ..tables import read_table
 from .constituent import Prescribed
 from .phase import HenyeyGreenstein
@@ -27,7 +26,8 @@ def hoffman_haze(
 ) -> Prescribed:
     r"""Haze or fog of the article's table, 1.25 km of it, to stand as an `Atmosphere`'s aerosol.
 
-    The scattering coefficient is a power of the wavelength between 650, 570 and 475 nm and beyond them.
+    The scattering coefficient is a power of the wavelength between 650, 570 and 475 nm, and beyond them, from 300 to
+    1100 nm; other wavelengths are a `ValueError`.
 
     **Arguments:** `kind`, "light haze", "heavy haze", "light fog" or "heavy fog"; `wavelength_nm` of the
     scene, `[wavelength]`; `absorption` coefficient, m^-1, grey.
@@ -39,8 +39,8 @@ def hoffman_haze(
     """
     if kind not in _KINDS:
         raise ValueError(f"`kind` must be one of {', '.join(_KINDS)}, got {kind!r}")
-    if not isinstance(absorption, Tracer) and not 0.0 <= absorption <= _MOST_ABSORPTION * (1.0 + 1e-6):
-        raise ValueError(f"`absorption` must be within 0-{_MOST_ABSORPTION:g} per metre, got {absorption}")
+    check_wavelength(wavelength_nm, 300.0, 1100.0, "of the article's powers")
+    check_range("absorption", absorption, 0.0, _MOST_ABSORPTION, "per metre")
     table = {name: float(column[_KINDS.index(kind)]) for name, column in read_table("hoffman_haze.csv").items()}
     place = np.log(HOFFMAN_WAVELENGTHS[::-1])
     value = np.log([table["blue"], table["green"], table["red"]])

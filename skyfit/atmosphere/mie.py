@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics import as_float, chebyshev_weights, gauss_legendre
+from ..numerics import as_float, chebyshev_weights, check_range, check_wavelength, gauss_legendre, within
 from ..tables import read_arrays
 from .constituent import AbstractConstituent
 from .phase import AbstractPhase, REFERENCE_WAVELENGTH
@@ -26,6 +26,8 @@ from .profile import AbstractProfile, Exponential, HAZE_SCALE_HEIGHT
 _LEAST_WIDTH = 0.25
 # micrometres, far beyond what the classes hold
 _RADII = (1e-3, 1e3)
+_KNOWN_NM = (300.0, 1100.0)
+_OF_TABLE = "of the table of spheres: soot and iron are beyond it, `Prescribed` takes optics of one's own"
 # nodes of an integral over each interval between tabulated angles
 _NODES_BETWEEN = 12
 
@@ -171,6 +173,7 @@ class TwoModePhase(AbstractPhase):
 
     modes: _Modes
     last_degree: ClassVar[int | None] = None
+    known_nm: ClassVar[tuple[float, float]] = _KNOWN_NM
 
     def _by_angle(self, wavelength_nm, ratios=()) -> list[Float[Array, "angle wavelength"]]:
         """F11 at the tabulated angles, then F11 times each of `ratios`, in arbitrary units."""
@@ -181,6 +184,8 @@ class TwoModePhase(AbstractPhase):
         return [kernel.T @ classes.T for kernel in kernels]
 
     def at_haversine(self, haversine, wavelength_nm):
+        check_range("haversine", haversine, 0.0, 1.0)
+        check_wavelength(wavelength_nm, *self.known_nm, "all that TwoModePhase knows")
         (by_angle,) = self._by_angle(wavelength_nm)
         total = _moment_weights(1).astype(by_angle.dtype) @ by_angle
         return _angle_weights(jnp.clip(haversine, 0.0, 1.0)) @ _with_ends(by_angle / total)
@@ -207,9 +212,10 @@ class TwoModeAerosol(AbstractConstituent):
     albedo and phase function, follows here. Stands in any place of an `Atmosphere`.
 
     **Valid:** 300 to 1100 nm; radii of 0.05 to 0.5 and 0.8 to 6 um; widths of 0.3 to 0.9; n of 1.33 to 1.60; k to 0.1.
-    Beyond those of n and k, and under a width of 0.25, the end value holds with slope 0; far beyond those of the
-    radius over the wavelength slopes die away. F34 is left out. Dust is not made of spheres: behind 90 degrees from
-    the sun its phase function and polarisation are other than these.
+    Concrete values outside are a `ValueError`. Of traced ones, beyond those of n and k, and under a width of 0.25, the
+    end value holds with slope 0; far beyond those of the radius over the wavelength slopes die away. F34 is left out.
+    Dust is not made of spheres: behind 90 degrees from the sun its phase function and polarisation are other than
+    these.
 
     **Source:** Mie theory, experiments/tables/make_mie_tables.py. Two modes and one index as in Dubovik & King 2000,
     J. Geophys. Res. 105, 20673. Defaults: Dubovik et al. 2002, J. Atmos. Sci. 59, 590, Table 1, urban-industrial
@@ -217,16 +223,21 @@ class TwoModeAerosol(AbstractConstituent):
     0.91 here.
     """
 
-    optical_depth: Float[Array, ""] = eqx.field(converter=as_float)
-    fine_fraction: Float[Array, ""] = eqx.field(converter=as_float, default=0.9)
-    fine_radius: Float[Array, ""] = eqx.field(converter=as_float, default=0.15)
-    coarse_radius: Float[Array, ""] = eqx.field(converter=as_float, default=3.2)
-    fine_width: Float[Array, ""] = eqx.field(converter=as_float, default=0.38)
-    coarse_width: Float[Array, ""] = eqx.field(converter=as_float, default=0.75)
-    refractive_index: Float[Array, ""] = eqx.field(converter=as_float, default=1.40)
-    absorption_index: Float[Array, ""] = eqx.field(converter=as_float, default=0.003)
+    optical_depth: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(0.0, 1e3))
+    fine_fraction: Float[Array, ""] = eqx.field(converter=as_float, default=0.9, metadata=within(0.0, 1.0))
+    fine_radius: Float[Array, ""] = eqx.field(converter=as_float, default=0.15, metadata=within(0.05, 0.5, "um"))
+    coarse_radius: Float[Array, ""] = eqx.field(converter=as_float, default=3.2, metadata=within(0.8, 6.0, "um"))
+    fine_width: Float[Array, ""] = eqx.field(converter=as_float, default=0.38, metadata=within(0.3, 0.9))
+    coarse_width: Float[Array, ""] = eqx.field(converter=as_float, default=0.75, metadata=within(0.3, 0.9))
+    refractive_index: Float[Array, ""] = eqx.field(
+        converter=as_float, default=1.40, metadata=within(1.33, 1.6, hint=_OF_TABLE)
+    )
+    absorption_index: Float[Array, ""] = eqx.field(
+        converter=as_float, default=0.003, metadata=within(0.0, 0.1, hint=_OF_TABLE)
+    )
     profile: AbstractProfile = eqx.field(default_factory=lambda: Exponential(HAZE_SCALE_HEIGHT))
     smooth_in_wavelength: ClassVar[bool] = True
+    known_nm: ClassVar[tuple[float, float]] = _KNOWN_NM
 
     @property
     def _modes(self) -> _Modes:
@@ -269,6 +280,7 @@ class TwoModeAerosol(AbstractConstituent):
         return jnp.sum(volumes) / jnp.sum(volumes / radii)
 
     def optical_depth_at(self, wavelength_nm):
+        self.check_wavelengths(wavelength_nm)
         return self.optical_depth * self._modes.depths(wavelength_nm)[0]
 
     def single_scattering_albedo_at(self, wavelength_nm):

@@ -13,7 +13,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ..numerics import as_float, associated_legendre, check_range, gauss_legendre, hat_weights, spin_legendre
+from ..numerics import (
+    ALL_WAVELENGTHS,
+    as_float,
+    associated_legendre,
+    check_increasing,
+    check_radians,
+    check_range,
+    check_wavelength,
+    gauss_legendre,
+    hat_weights,
+    IN_MICROMETRES,
+    radians_within,
+    Ranged,
+    spin_legendre,
+    table_range,
+    within,
+)
 from ..tables import read_table
 
 
@@ -23,13 +39,22 @@ REFERENCE_WAVELENGTH = 550.0
 HAZE_POLARISATION = 0.25
 # nodes of an integral over the scattering angle, uniform in it
 _ANGLES = 256
+# the range of the wavelengths of a table
+TABLE_WAVELENGTHS = within(100.0, 1e5, "nm", IN_MICROMETRES)
+# a lobe of one direction has no value there; at this asymmetry it is a milliradian wide
+_ASYMMETRY = within(-0.999, 0.999)
 
 
-class AbstractPhase(eqx.Module):
+class AbstractPhase(Ranged):
     """A phase function; the last axis of length 1 where it does not depend on wavelength."""
 
     # the degree of the last moment that is not zero, None where they go on
     last_degree: eqx.AbstractClassVar[int | None]
+
+    @property
+    @abstractmethod
+    def known_nm(self) -> tuple[float, float]:
+        """Where it is known, nm: beyond, wavelengths that are not traced are refused."""
 
     @abstractmethod
     def at_haversine(
@@ -48,7 +73,7 @@ class AbstractPhase(eqx.Module):
 
         **Valid** concrete angles outside [0, pi] are a `ValueError`; traced ones are not checked.
         """
-        check_range("angle", angle, 0.0, np.pi * (1.0 + 1e-6), "radians")
+        check_radians("angle", angle, 0.0, np.pi)
         return self.at_haversine(jnp.sin(0.5 * as_float(angle)) ** 2, as_float(wavelength_nm))
 
     @abstractmethod
@@ -100,15 +125,17 @@ def polarised_like_air(haversine, share) -> Float[Array, "element direction #wav
 class RayleighPhase(AbstractPhase):
     r"""$p = \frac{3}{16\pi(1+2\gamma_d)}[(1+3\gamma_d) + (1-\gamma_d)\cos^2\gamma]$, $\gamma_d = \rho/(2-\rho)$.
 
-    `depolarization` $\rho$ >= 0; 0 gives $3(1+\cos^2\gamma)/16\pi$, the papers' form.
+    `depolarization` $\rho$ in [0, 1]; 0 gives $3(1+\cos^2\gamma)/16\pi$, the papers' form.
     Source: Chandrasekhar 1950; Bucholtz 1995, Appl. Opt. 34, 2765, eq. 12.
     """
 
     # King factor 1.048 of air at 550 nm (Bodhaine et al. 1999, table 3), as 6 (F - 1) / (7 F + 3)
-    depolarization: Float[Array, ""] = eqx.field(converter=as_float, default=0.0279)
+    depolarization: Float[Array, ""] = eqx.field(converter=as_float, default=0.0279, metadata=within(0.0, 1.0))
     last_degree: ClassVar[int | None] = 2
+    known_nm: ClassVar[tuple[float, float]] = ALL_WAVELENGTHS
 
     def at_haversine(self, haversine, wavelength_nm):
+        check_range("haversine", haversine, 0.0, 1.0)
         spread = self.depolarization / (2.0 - self.depolarization)
         cosine = 1.0 - 2.0 * haversine[:, None]
         scale = 3.0 / (16.0 * np.pi * (1.0 + 2.0 * spread))
@@ -127,6 +154,7 @@ class RayleighPhase(AbstractPhase):
 
 
 def _henyey_greenstein(haversine, asymmetry):
+    check_range("haversine", haversine, 0.0, 1.0)
     denominator = (1.0 - asymmetry) ** 2 + 4.0 * asymmetry * haversine
     return (1.0 - asymmetry**2) / (4.0 * np.pi * denominator * jnp.sqrt(denominator))
 
@@ -138,13 +166,14 @@ def _powers(asymmetry, count: int):
 class HenyeyGreenstein(AbstractPhase):
     r"""$p = \frac{1-g^2}{4\pi (1+g^2-2g\cos\gamma)^{3/2}}$, moments $g^l$; forward scattering is g > 0.
 
-    `asymmetry` g in (-1, 1). Source: Henyey & Greenstein 1941. Klassen 1987, eq. 1 and Hoffman & Preetham 2002
+    `asymmetry` g in [-0.999, 0.999]. Source: Henyey & Greenstein 1941. Klassen 1987, eq. 1 and Hoffman & Preetham 2002
     print the numerator $(1-g)^2$ and signs of their own: neither integrates to one.
     """
 
-    asymmetry: Float[Array, ""] = eqx.field(converter=as_float)
-    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION)
+    asymmetry: Float[Array, ""] = eqx.field(converter=as_float, metadata=_ASYMMETRY)
+    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION, metadata=within(0.0, 1.0))
     last_degree: ClassVar[int | None] = None
+    known_nm: ClassVar[tuple[float, float]] = ALL_WAVELENGTHS
 
     def at_haversine(self, haversine, wavelength_nm):
         return _henyey_greenstein(haversine, self.asymmetry)[:, None]
@@ -159,17 +188,18 @@ class HenyeyGreenstein(AbstractPhase):
 class TwoTermHenyeyGreenstein(AbstractPhase):
     r"""A share of one Henyey-Greenstein lobe and the rest of a second one, $f p_{HG}(g_1) + (1 - f) p_{HG}(g_2)$.
 
-    `asymmetry` and `asymmetry_second` in (-1, 1); `forward_fraction` f at 550 nm in [0, 1] and its slope per unit of
-    ln(wavelength / 550 nm): coarse particles scatter forward and hold more of the red than of the blue.
+    `asymmetry` and `asymmetry_second` in [-0.999, 0.999]; `forward_fraction` f at 550 nm in [0, 1] and its slope per
+    unit of ln(wavelength / 550 nm): coarse particles scatter forward and hold more of the red than of the blue.
     Source: Irvine 1965, Astrophys. J. 142, 1563; Kattawar 1975. The slope is our own.
     """
 
-    asymmetry: Float[Array, ""] = eqx.field(converter=as_float)
-    asymmetry_second: Float[Array, ""] = eqx.field(converter=as_float)
-    forward_fraction: Float[Array, ""] = eqx.field(converter=as_float)
-    forward_fraction_slope: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
-    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION)
+    asymmetry: Float[Array, ""] = eqx.field(converter=as_float, metadata=_ASYMMETRY)
+    asymmetry_second: Float[Array, ""] = eqx.field(converter=as_float, metadata=_ASYMMETRY)
+    forward_fraction: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(0.0, 1.0))
+    forward_fraction_slope: Float[Array, ""] = eqx.field(converter=as_float, default=0.0, metadata=within(-10.0, 10.0))
+    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION, metadata=within(0.0, 1.0))
     last_degree: ClassVar[int | None] = None
+    known_nm: ClassVar[tuple[float, float]] = ALL_WAVELENGTHS
 
     def _fraction(self, wavelength_nm):
         ratio = jnp.log(wavelength_nm / REFERENCE_WAVELENGTH)
@@ -191,13 +221,14 @@ class TwoTermHenyeyGreenstein(AbstractPhase):
 class CornetteShanks(AbstractPhase):
     r"""$p = \frac{3}{8\pi} \frac{(1-g^2)(1+\cos^2\gamma)}{(2+g^2)(1+g^2-2g\cos\gamma)^{3/2}}$.
 
-    `asymmetry` here is the parameter g in (-1, 1), not the mean cosine.
+    `asymmetry` here is the parameter g in [-0.999, 0.999], not the mean cosine.
     Source: Cornette & Shanks 1992, Appl. Opt. 31, 3152; Bruneton & Neyret 2008, eq. 4.
     """
 
-    asymmetry: Float[Array, ""] = eqx.field(converter=as_float)
-    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION)
+    asymmetry: Float[Array, ""] = eqx.field(converter=as_float, metadata=_ASYMMETRY)
+    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION, metadata=within(0.0, 1.0))
     last_degree: ClassVar[int | None] = None
+    known_nm: ClassVar[tuple[float, float]] = ALL_WAVELENGTHS
 
     def at_haversine(self, haversine, wavelength_nm):
         cosine = 1.0 - 2.0 * haversine
@@ -224,18 +255,32 @@ class Tabulated(AbstractPhase):
     """A table of log values over angle and wavelength, interpolated linearly in both and normalised.
 
     `angle` radians `[angle]`, increasing; `table_wavelength_nm` `[band]`; `log_value` `[angle, band]`.
-    Beyond the table the end values hold.
+
+    **Valid:** angles beyond the table have the end's value. Wavelengths beyond it are a `ValueError`, and traced ones
+    have the end's value.
     """
 
-    angle: Float[Array, " angle"] = eqx.field(converter=as_float)
-    table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float)
-    log_value: Float[Array, "angle band"] = eqx.field(converter=as_float)
-    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION)
+    angle: Float[Array, " angle"] = eqx.field(converter=as_float, metadata=radians_within(0.0, np.pi))
+    table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float, metadata=TABLE_WAVELENGTHS)
+    log_value: Float[Array, "angle band"] = eqx.field(converter=as_float, metadata=within(-80.0, 80.0))
+    polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION, metadata=within(0.0, 1.0))
     last_degree: ClassVar[int | None] = None
+
+    @property
+    def known_nm(self) -> tuple[float, float]:
+        """Where the table is known, nm."""
+        return table_range(self.table_wavelength_nm)
+
+    def __check_init__(self):
+        check_increasing("angle", self.angle)
+        check_increasing("table_wavelength_nm", self.table_wavelength_nm)
 
     @classmethod
     def bullrich(cls) -> "Tabulated":
         """Haze by Bullrich's eta for Junge's exponent 4, 400-850 nm: Preetham 1999, Table 1.
+
+        **Valid:** 300 to 1100 nm: the phase function of Junge's distribution does not change with wavelength but for
+        the refractive index, and the bands at 400 and 850 nm stand for all beyond.
 
         Log eta is interpolated (the paper gives no rule; linear interpolation misses its own K by 7 %).
         """
@@ -243,9 +288,11 @@ class Tabulated(AbstractPhase):
         names = [name for name in table if name.startswith("eta_")]
         bands = np.array([float(name.removeprefix("eta_").removesuffix("nm")) for name in names])
         values = np.stack([table[name] for name in names], axis=1)
-        return cls(np.radians(table["theta_deg"]), bands, np.log(values))
+        return cls(np.radians(table["theta_deg"]), *held(bands, np.log(values)))
 
     def _unnormalised(self, haversine, wavelength_nm):
+        check_range("haversine", haversine, 0.0, 1.0)
+        check_wavelength(wavelength_nm, *self.known_nm, "all that Tabulated knows")
         inside = jnp.clip(haversine, 1e-12, 1.0 - 1e-6)
         angle = 2.0 * jnp.arctan2(jnp.sqrt(inside), jnp.sqrt(1.0 - inside))
         over_wavelength = self.log_value @ hat_weights(wavelength_nm, self.table_wavelength_nm).T
@@ -269,3 +316,10 @@ class Tabulated(AbstractPhase):
 
     def matrix(self, haversine, wavelength_nm):
         return polarised_like_air(haversine, self.polarisation)
+
+
+def held(table_nm: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A table, wavelengths along its last axis, with its end values once more at 300 and 1100 nm."""
+    return np.concatenate([[300.0], table_nm, [1100.0]]), np.concatenate(
+        [values[..., :1], values, values[..., -1:]], axis=-1
+    )

@@ -6,10 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ..numerics import as_float, hat_weights, phi1, phi_functions
+from ..numerics import as_float, check_increasing, concrete, hat_weights, phi1, phi_functions, Ranged, within
 from ..tables import read_table
 
 
@@ -19,7 +18,7 @@ HAZE_SCALE_HEIGHT = 1200.0
 _SMALLEST_DENSITY = 1e-30
 
 
-class AbstractProfile(eqx.Module):
+class AbstractProfile(Ranged):
     """The shape of a column, normalised to one; heights in metres above the ground."""
 
     @abstractmethod
@@ -36,9 +35,11 @@ class AbstractProfile(eqx.Module):
 
 
 class Exponential(AbstractProfile):
-    r"""Density falling as $e^{-h/H}$; Preetham 1999, eq. 5 with $\alpha = 1/H$. `scale_height` in m, > 0."""
+    r"""Density falling as $e^{-h/H}$; Preetham 1999, eq. 5 with $\alpha = 1/H$. `scale_height` in m, 10 to 1e6."""
 
-    scale_height: Float[Array, ""] = eqx.field(converter=as_float)
+    scale_height: Float[Array, ""] = eqx.field(
+        converter=as_float, metadata=within(10.0, 1e6, "m", "kilometres times 1000")
+    )
 
     def column_above(self, height):
         return jnp.exp(-height / self.scale_height)
@@ -57,8 +58,8 @@ class OzoneLayer(AbstractProfile):
     Source: Lacis & Hansen 1974, J. Atmos. Sci. 31, 118 (their u(h) with a = 0.4 cm, b = 20 km, c = 5 km).
     """
 
-    height: Float[Array, ""] = eqx.field(converter=as_float, default=20e3)
-    thickness: Float[Array, ""] = eqx.field(converter=as_float, default=5e3)
+    height: Float[Array, ""] = eqx.field(converter=as_float, default=20e3, metadata=within(1.0, 1e5, "m"))
+    thickness: Float[Array, ""] = eqx.field(converter=as_float, default=5e3, metadata=within(1.0, 1e5, "m"))
 
     def column_above(self, height):
         whole = jax.nn.sigmoid(self.height / self.thickness)
@@ -79,8 +80,8 @@ class Layered(AbstractProfile):
     to sum 1. Single scattering has its `nodes` in each layer that scatters, at that cost.
     """
 
-    edges: Float[Array, " edge"] = eqx.field(converter=as_float)
-    fraction: Float[Array, " layer"] = eqx.field(converter=as_float)
+    edges: Float[Array, " edge"] = eqx.field(converter=as_float, metadata=within(0.0, 1e6, "m"))
+    fraction: Float[Array, " layer"] = eqx.field(converter=as_float, metadata=within(0.0, 1e30))
 
     def __check_init__(self):
         if self.edges.shape[0] != self.fraction.shape[0] + 1:
@@ -88,6 +89,7 @@ class Layered(AbstractProfile):
                 "`edges` must have one entry more than `fraction`, "
                 f"got {self.edges.shape[0]} and {self.fraction.shape[0]}"
             )
+        check_increasing("edges", self.edges)
 
     def _share(self):
         return self.fraction / jnp.sum(self.fraction)
@@ -117,8 +119,8 @@ class Levels(AbstractProfile):
     `SingleScattering.normal` has Elterman's haze to 0.2 %, whose layer aloft the nodes of a smooth view see coarsely.
     """
 
-    height: Float[Array, " level"] = eqx.field(converter=as_float)
-    density_at: Float[Array, " level"] = eqx.field(converter=as_float)
+    height: Float[Array, " level"] = eqx.field(converter=as_float, metadata=within(0.0, 1e6, "m"))
+    density_at: Float[Array, " level"] = eqx.field(converter=as_float, metadata=within(0.0, 1e30))
 
     def __check_init__(self):
         if self.height.ndim != 1 or self.height.shape != self.density_at.shape or self.height.shape[0] < 2:
@@ -126,12 +128,12 @@ class Levels(AbstractProfile):
                 "`height` and `density_at` must be 1-d and of one length, two levels at least, "
                 f"got {self.height.shape} and {self.density_at.shape}"
             )
-        if not isinstance(self.height, Tracer) and not (
-            self.height[0] == 0.0 and np.all(np.diff(np.asarray(self.height)) > 0.0)
-        ):
-            raise ValueError(f"`height` must begin at 0 and increase, got {np.asarray(self.height)}")
-        if not isinstance(self.density_at, Tracer) and not np.all(np.asarray(self.density_at) > 0.0):
-            raise ValueError(f"`density_at` must be positive, got {np.asarray(self.density_at)}")
+        check_increasing("height", self.height)
+        height, density = concrete(self.height), concrete(self.density_at)
+        if height is not None and height[0] != 0.0:
+            raise ValueError(f"`height` must begin at 0, got {height[0]:g}")
+        if density is not None and not np.all(density > 0.0):
+            raise ValueError(f"`density_at` must be positive, got {density[~(density > 0.0)][0]:g}")
 
     @classmethod
     def us_standard_1976(cls) -> "Levels":

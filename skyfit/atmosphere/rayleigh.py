@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numerics import as_float
+from ..numerics import ALL_WAVELENGTHS, as_float, check_range, within
 from .constituent import AbstractConstituent
 from .phase import AbstractPhase, RayleighPhase
 from .profile import AbstractProfile, Exponential
@@ -56,20 +56,25 @@ def pressure_at_altitude(altitude_m):
     **Arguments:** `altitude_m` above sea level. **Returns:** Pa. **Valid:** -500 to 11000 m.
     **Source:** US Standard Atmosphere 1976, lapse rate 6.5 K/km.
     """
+    check_range("altitude_m", altitude_m, -500.0, 11e3, "m")
     return SEA_LEVEL_PRESSURE * (1.0 - 2.25577e-5 * altitude_m) ** 5.25588
 
 
 class Rayleigh(AbstractConstituent):
     """Air molecules: optical depth scaled by the station's pressure.
 
-    `pressure` at the ground, Pa; `formula` "bodhaine" (default) or "paper" (n = 1.0003, 17 % larger).
+    `pressure` at the ground, 2000 to 120000 Pa (no air at all is an `Atmosphere` without it); `formula` "bodhaine"
+    (default) or "paper" (n = 1.0003, 17 % larger).
     """
 
-    pressure: Float[Array, ""] = eqx.field(converter=as_float, default=SEA_LEVEL_PRESSURE)
+    pressure: Float[Array, ""] = eqx.field(
+        converter=as_float, default=SEA_LEVEL_PRESSURE, metadata=within(2e3, 1.2e5, "Pa", "hPa times 100")
+    )
     phase: AbstractPhase = eqx.field(default_factory=RayleighPhase)
     profile: AbstractProfile = eqx.field(default_factory=lambda: Exponential(AIR_SCALE_HEIGHT))
     formula: Literal["bodhaine", "paper"] = eqx.field(static=True, default="bodhaine")
     smooth_in_wavelength: ClassVar[bool] = True
+    known_nm: ClassVar[tuple[float, float]] = ALL_WAVELENGTHS
 
     def __check_init__(self):
         if self.formula not in ("bodhaine", "paper"):

@@ -6,6 +6,7 @@ from typing import Literal
 import jax.numpy as jnp
 import numpy as np
 
+from ..numerics import check_range
 from ..tables import read_table
 from .phase import REFERENCE_WAVELENGTH
 from .profile import HAZE_SCALE_HEIGHT
@@ -24,6 +25,8 @@ _CONCENTRATION_SLOPE, _CONCENTRATION_OFFSET = 0.6544e-18, -0.6510e-18
 _RANGE_DEPTH = -math.log(0.02)
 # m; shorter ranges are taken as this one
 _SHORTEST_RANGE = 1.0
+# of air that no light passes
+_MOST_TURBIDITY = 1e4
 
 
 def angstrom_coefficient(turbidity):
@@ -31,10 +34,16 @@ def angstrom_coefficient(turbidity):
 
     **Arguments:** `turbidity`. **Returns:** dimensionless; the haze's optical depth is $\beta \lambda^{-\alpha}$,
     $\lambda$ in um.
-    **Valid:** >= 0: below T = 0.9952 it is 0.
+    **Valid:** T from 0.9952, else `ValueError`; traced ones below have 0.
     **Source:** Preetham 1999, A.1.
     """
+    check_turbidity(turbidity, -_BETA_OFFSET / _BETA_SLOPE)
     return jnp.maximum(_BETA_SLOPE * turbidity + _BETA_OFFSET, 0.0)
+
+
+def check_turbidity(turbidity, low: float = 1.0) -> None:
+    """A `ValueError` where a concrete turbidity is below that of air without haze, `low`, or beyond all weather."""
+    check_range("turbidity", turbidity, low, _MOST_TURBIDITY)
 
 
 def _line(relation: Relation) -> tuple[float, float]:
@@ -64,11 +73,13 @@ def turbidity_to_optical_depth(turbidity, relation: Relation = "definition"):
 
     **Arguments:** `turbidity` >= 1; `relation`, which of the paper's three statements.
     **Returns:** dimensionless: 0.0971, 0.1007 and 0.0952 at T = 2.
-    **Valid:** T >= 1; a line, so below the haze is negative.
+    **Valid:** T >= 1, or where the line is 0 (0.9952 and 0.9948 of "sunlight" and "scattering"), else `ValueError`;
+    traced ones go on along the line, to negative haze.
     **Source:** Preetham 1999, sec. 2.1, T = (t_m + t_h) / t_m at 550 nm; A.1; A.3 and the scale height of A.4. A.3
     prints $10^{-16}$: the haze of T = 2 would then have an optical depth of 9.5 and T by sec. 2.1 be 80.8.
     """
     slope, offset = _line(relation)
+    check_turbidity(turbidity, -offset / slope)
     if relation == "definition":
         # exactly 0 at T = 1
         return (turbidity - 1.0) * slope
@@ -76,13 +87,16 @@ def turbidity_to_optical_depth(turbidity, relation: Relation = "definition"):
 
 
 def optical_depth_to_turbidity(optical_depth, relation: Relation = "definition"):
-    """The inverse of `turbidity_to_optical_depth`."""
+    """The inverse of `turbidity_to_optical_depth`; a concrete `optical_depth` below 0 is a `ValueError`."""
+    check_range("optical_depth", optical_depth, 0.0, 1e3)
     slope, offset = _line(relation)
     return (optical_depth - offset) / slope
 
 
 def _extinctions(haze_scale_height, air_optical_length):
     """Extinction of air at the ground, and of haze for each unit of turbidity above one, m^-1."""
+    check_range("haze_scale_height", haze_scale_height, 10.0, 1e6, "m")
+    check_range("air_optical_length", air_optical_length, 10.0, 1e6, "m")
     depth = float(bodhaine_optical_depth(REFERENCE_WAVELENGTH))
     return depth / air_optical_length, depth / haze_scale_height
 
@@ -95,10 +109,12 @@ def meteorological_range(turbidity, haze_scale_height=HAZE_SCALE_HEIGHT, air_opt
     **Arguments:** `turbidity` >= 1; `haze_scale_height` and `air_optical_length`, vertical column over density at
     the ground, m.
     **Returns:** m: 339 km for pure air, 42 km at T = 2, 15 km at 4, 5.3 km at 10.
-    **Valid:** below T = 1 the value of pure air. Thick haze lies lower than 1200 m: the paper's Fig. 3, as SLIB's
-    author read it ($\log_2 R = 9 / 1.55^{\log_2 T} - 0.5$, km), has 362, 40, 9.5 and 3.0 km for these turbidities.
+    **Valid:** T from 1, else `ValueError`; traced ones below have the value of pure air. Thick haze lies lower than
+    1200 m: the paper's Fig. 3, as SLIB's author read it ($\log_2 R = 9 / 1.55^{\log_2 T} - 0.5$, km), has 362, 40, 9.5
+    and 3.0 km for these turbidities.
     **Source:** Preetham 1999, sec. 2.1 (Koschmieder's law, contrast 0.02).
     """
+    check_turbidity(turbidity)
     air, haze = _extinctions(haze_scale_height, air_optical_length)
     return _RANGE_DEPTH / (air + jnp.maximum(turbidity - 1.0, 0.0) * haze)
 
@@ -107,8 +123,10 @@ def turbidity_from_range(distance, haze_scale_height=HAZE_SCALE_HEIGHT, air_opti
     """Turbidity by the meteorological range, the inverse of `meteorological_range`.
 
     **Arguments:** `distance`, the range in m; the rest as there. **Returns:** dimensionless.
-    **Valid:** ranges up to that of pure air, 1 beyond it; ranges under 1 m are taken as 1 m.
+    **Valid:** ranges from 1 m, else `ValueError` (traced shorter ones are taken as 1 m), to that of pure air, beyond
+    which it is 1.
     """
+    check_range("distance", distance, _SHORTEST_RANGE, np.inf, "m")
     air, haze = _extinctions(haze_scale_height, air_optical_length)
     extinction = _RANGE_DEPTH / jnp.maximum(distance, _SHORTEST_RANGE)
     return 1.0 + jnp.maximum(extinction - air, 0.0) / haze

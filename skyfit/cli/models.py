@@ -25,6 +25,10 @@ def make_solver(name: str, preset: PresetName, geometry: GeometryName, polarised
     """The solver of some words; only `orders` may be polarised."""
     if name not in SOLVERS:
         raise ValueError(f"`--solver` must be one of {', '.join(SOLVERS)}, got {name!r}")
+    if name == "uniform" and geometry is not GeometryName.flat:
+        raise ValueError(
+            f"`--geometry` must be flat with `--solver uniform`, which knows no other, got {geometry.value}"
+        )
     if polarised and name != "orders":
         raise ValueError(f"`--polarised` must be left out with `--solver {name}`: only orders knows polarisation")
     settings = {"polarised": True} if polarised else {}
@@ -49,7 +53,7 @@ def make_atmosphere(
     }
     gas = Ozone(column=in_range("--ozone", ozone, 0.0, 1000.0))
     ground = Ground(albedo=in_range("--ground-albedo", ground_albedo, 0.0, 1.0))
-    air = Rayleigh(pressure=in_range("--pressure", pressure, 0.0, 2e6))
+    air = Rayleigh(pressure=in_range("--pressure", pressure, 2e3, 1.2e5))
     return lambda depth: Atmosphere(rayleigh=air, aerosol=Aerosol(depth, **haze), ozone=gas, ground=ground)
 
 

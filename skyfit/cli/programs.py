@@ -12,7 +12,7 @@ from ..atmosphere import Atmosphere
 from ..measured import atomic
 from ..scene import Scene
 from ..tables import data_path
-from ..transport import AbstractSolver
+from ..transport import AbstractSolver, check_scene
 
 
 _PACKAGE, _NAME = Path(__file__).resolve().parents[1], "radiance"
@@ -28,6 +28,7 @@ def kept_radiance(
     **Valid:** a program holds for one state of skyfit's sources and of JAX, one backend, one solver, and one structure
     and shape of atmosphere and scene; its name says which.
     """
+    check_scene(solver, atmosphere, scene)
     if folder is None:
         return solver.radiance(atmosphere, scene)
     leaves, structure = jax.tree.flatten((atmosphere, scene))

@@ -80,7 +80,7 @@ def refit_command(
 
     in_range("--directions", directions, 20, 100000)
     if flat_below is not None:
-        in_range("--flat-below", flat_below, 0.0, 90.0)
+        in_range("--flat-below", flat_below, 0.0, 85.0)
     kind, lobe = _haze(form, haze, asymmetry)
     phase = Tabulated.bullrich() if lobe is None else HenyeyGreenstein(lobe)
     by_depth = make_atmosphere(

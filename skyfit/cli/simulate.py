@@ -64,19 +64,23 @@ def simulate(
     As solver.radiance(atmosphere, scene) in Python, here by OrdersOfScattering.normal(polarised=True) where no option
     says otherwise, and in float64; Python computes in the precision of its process, float32 where nobody asks for more.
     """
+    import warnings
+
     import jax
     import numpy as np
 
     from ..atmosphere import HenyeyGreenstein, turbidity_to_optical_depth
     from ..measured import read_directions, Sky, write_sky
     from ..scene import Directions, hemisphere, Scene
+    from ..transport import low_sun, LowSunWarning
     from .models import in_words, make_atmosphere, make_solver, precision, turbidity_of, wavelengths_of
     from .printing import console, notices, progress
     from .programs import kept_radiance
 
     haze = turbidity_of(turbidity, aerosol_optical_depth, meteorological_range, haze_height)
     analytic, lowest = (None, 90.0) if coefficients is None else _analytic_sky(context, coefficients)
-    in_range("--sun-zenith", sun_zenith, 0.0, lowest)
+    chosen = make_solver(solver, preset, geometry, solver == "orders" if polarised is None else polarised)
+    in_range("--sun-zenith", sun_zenith, 0.0, min(lowest, chosen.suns.largest_deg) if analytic is None else lowest)
     if out.suffix not in (".nc", ".csv") or not out.absolute().parent.is_dir():
         raise ValueError(f"`--out` must be a .nc or .csv file in a folder that is there, got {out}")
     phase = HenyeyGreenstein(in_range("--asymmetry", asymmetry, -0.98, 0.98))
@@ -89,9 +93,14 @@ def simulate(
     scene = Scene.from_degrees(sun_zenith, view, spectrum, sun_azimuth, fwhm_nm=fwhm, irradiance=irradiance)
     with progress("simulating"):
         if analytic is None:
-            chosen = make_solver(solver, preset, geometry, solver == "orders" if polarised is None else polarised)
             folder = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
-            kept = kept_radiance(chosen, atmosphere, scene, folder)
+            # said once, in the command's own words
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", LowSunWarning)
+                kept = kept_radiance(chosen, atmosphere, scene, folder)
+            said = low_sun(chosen, scene.sun_zenith)
+            if said is not None:
+                notices.print(f"note: {said}", highlight=False, markup=False, soft_wrap=True)
             radiance, model = np.asarray(kept, float), in_words(chosen)
         else:
             radiance, model = np.asarray(analytic.radiance(haze, scene), float), type(analytic).__name__

@@ -4,10 +4,9 @@ from functools import lru_cache
 
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, Real
 
-from ..numerics import hat_weights
+from ..numerics import check_wavelength, hat_weights
 from ..tables import read_table
 from .colour import observer_weights
 
@@ -46,24 +45,14 @@ def daylight(
     A y below 0.01 divides as 0.01. Values and gradients are finite everywhere.
     **Source:** Preetham 1999 A.5 after Wyszecki & Stiles 1982; S of CIE 015:2018, whose 380-780 nm are his Table 2.
     """
-    if not isinstance(wavelength_nm, Tracer):
-        _check(np.asarray(wavelength_nm))
+    table_nm = _basis_of_colour()[0]
+    check_wavelength(wavelength_nm, table_nm[0], table_nm[-1], "of the spectrum of daylight")
     node, basis, share = (jnp.asarray(part, jnp.result_type(float)) for part in _basis_of_colour())
     colour = jnp.stack(jnp.broadcast_arrays(jnp.ones_like(x, node.dtype), x, y), axis=-1)
     at_wavelengths = jnp.matmul(hat_weights(jnp.asarray(wavelength_nm, node.dtype), node), basis, precision="highest")
     spectrum = jnp.matmul(colour, at_wavelengths.T, precision="highest")
     luminance = jnp.matmul(colour, share, precision="highest")
     return jnp.maximum(spectrum / jnp.maximum(luminance, _LOWEST_Y)[..., None], 0.0)
-
-
-def _check(wavelength_nm: np.ndarray) -> None:
-    node, _, _ = _basis_of_colour()
-    outside = ~((wavelength_nm >= node[0]) & (wavelength_nm <= node[-1]))
-    if outside.any():
-        raise ValueError(
-            f"`wavelength_nm` must be within {node[0]:g}-{node[-1]:g} nm for the spectrum of daylight, "
-            f"got {wavelength_nm[outside][0]:g}"
-        )
 
 
 @lru_cache(maxsize=1)

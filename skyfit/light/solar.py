@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
+from ..numerics import check_range, check_wavelength
 from ..tables import read_table
 
 
@@ -41,11 +42,7 @@ def extraterrestrial_irradiance(
     """
     table_nm, table, low, high = _solar_table(source)
     centre = np.asarray(wavelength_nm, dtype=np.float64)
-    outside = ~((centre >= low) & (centre <= high))
-    if outside.any():
-        raise ValueError(
-            f"`wavelength_nm` must be within {low:g}-{high:g} nm for source {source!r}, got {centre[outside][0]:g}"
-        )
+    check_wavelength(centre, low, high, f"source {source!r}")
     if fwhm_nm is None:
         return jnp.asarray(np.interp(centre, table_nm, table))
     if not (math.isfinite(fwhm_nm) and fwhm_nm > 0.0):
@@ -94,9 +91,10 @@ def earth_sun_factor(day_of_year: Real[ArrayLike, "*time"]) -> Float[Array, "*ti
 
     **Arguments:** `day_of_year` J, 1 to 366.
     **Returns:** dimensionless, same shape: 1.035 in early January, 0.967 in early July.
-    **Valid:** any real J; error below 1e-4.
+    **Valid:** J from 1 to 366, else `ValueError`; error below 1e-4.
     **Source:** Spencer 1971, as in Iqbal 1983 eq. 1.2.1.
     """
+    check_range("day_of_year", day_of_year, 1.0, 366.0)
     day = 2.0 * jnp.pi * (jnp.asarray(day_of_year) - 1) / 365.0
     return (
         1.000110

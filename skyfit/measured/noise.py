@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 
+from ..numerics import check_range
 from .samples import Sky
 
 
@@ -47,9 +48,7 @@ class NoiseModel:
             ("relative", 0.0, 1.0), ("floor", 0.0, 1.0), ("calibration", 0.0, 1.0), ("model_error", 0.0, 1.0),
             ("field_of_view", 0.0, 0.5), ("threshold", 0.5, 1e3),
         ):  # fmt: skip
-            value = getattr(self, name)
-            if value is not None and not low <= value <= high:
-                raise ValueError(f"`{name}` must be between {low:g} and {high:g}, got {value!r}")
+            check_range(name, getattr(self, name), low, high)
         if self.loss not in ("squares", "huber", "cauchy"):
             raise ValueError(f'`loss` must be "squares", "huber" or "cauchy", got {self.loss!r}')
         if (self.relative is not None or self.floor is not None) and not (self.relative or self.floor):

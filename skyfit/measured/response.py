@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..light import extraterrestrial_irradiance, observer_weights, SRGB_FROM_XYZ
+from ..numerics import check_range, check_wavelength
 
 
 @dataclass(frozen=True)
@@ -51,8 +52,8 @@ class Response:
                 "`weight` must be [channel, wavelength] and `wavelength_nm` increase, got shapes "
                 f"{weight.shape} and {wavelength.shape}"
             )
-        if not (np.all(np.isfinite(weight)) and np.all((wavelength >= 300.0) & (wavelength <= 1100.0))):
-            raise ValueError("`weight` must be finite and `wavelength_nm` within 300-1100 nm")
+        check_wavelength(wavelength, 300.0, 1100.0, "of the sun's spectrum")
+        check_range("weight", weight, -1e30, 1e30)
         if not np.all(np.any(weight != 0.0, axis=1)):
             raise ValueError("`weight` must not be 0 everywhere in a channel")
         object.__setattr__(self, "wavelength_nm", wavelength)

@@ -24,4 +24,18 @@ from .legendre import (
     spin_legendre as spin_legendre,
 )
 from .quadrature import gauss_legendre as gauss_legendre
-from .ranges import check_range as check_range, concrete as concrete, Ranged as Ranged, ranged as ranged
+from .ranges import (
+    ALL_WAVELENGTHS as ALL_WAVELENGTHS,
+    as_float_or_none as as_float_or_none,
+    check_increasing as check_increasing,
+    check_radians as check_radians,
+    check_range as check_range,
+    check_unit_vectors as check_unit_vectors,
+    check_wavelength as check_wavelength,
+    concrete as concrete,
+    IN_MICROMETRES as IN_MICROMETRES,
+    radians_within as radians_within,
+    Ranged as Ranged,
+    table_range as table_range,
+    within as within,
+)

@@ -10,9 +10,20 @@ from jaxtyping import Float
 from .dtype import as_float
 
 
+# relative; what float32 makes of an end of a range lies in the range
+_ROUNDING = 1e-6
+# of unit vectors, which may have been written with few digits
+_LENGTH = 1e-3
+# hints of what was meant
+IN_MICROMETRES = "micrometres times 1000"
+# nm, of formulas and of what is given at the wavelengths that are asked for
+ALL_WAVELENGTHS = (0.0, float("inf"))
+_IN_DEGREES = "angles are radians: np.radians(degrees)"
+
+
 def concrete(value) -> Float[np.ndarray, "..."] | None:
     """The numbers of an argument; None where it is traced, or a placeholder of a tree without numbers."""
-    if isinstance(value, Tracer):
+    if value is None or isinstance(value, Tracer):
         return None
     try:
         return np.asarray(value, np.float64)
@@ -24,12 +35,13 @@ def check_range(name: str, value, low: float, high: float, unit: str = "", hint:
     """A `ValueError` that names the argument, unless every number of it lies in [low, high].
 
     **Arguments:** `name` as the caller wrote it; `value`, a number or an array: traced values pass unseen;
-    `low`, `high`, infinite where that side is open; `unit` and `hint` for the message.
+    `low`, `high`, infinite where that side is open (infinity itself then passes, NaN never); `unit` and `hint` for the
+    message.
     """
     known = concrete(value)
     if known is None:
         return
-    outside = ~((known >= low) & (known <= high))
+    outside = ~((known >= low - _ROUNDING * abs(low)) & (known <= high + _ROUNDING * abs(high)))
     if not np.any(outside):
         return
     unit = unit and f" {unit}"
@@ -40,9 +52,57 @@ def check_range(name: str, value, low: float, high: float, unit: str = "", hint:
     raise ValueError(f"`{name}` must be {wanted}, got {float(known[outside].flat[0]):g}{hint and f' ({hint})'}")
 
 
-def ranged(low: float, high: float, unit: str = "", **known):
-    """A float field of a `Ranged` module, whose concrete values must lie in [low, high]; `known` as of `eqx.field`."""
-    return eqx.field(converter=as_float, metadata={"range": (low, high, unit)}, **known)
+def check_increasing(name: str, value) -> None:
+    """A `ValueError` that names the argument, unless its numbers increase along the last axis."""
+    known = concrete(value)
+    if known is not None and not np.all(np.diff(known) > 0.0):
+        raise ValueError(f"`{name}` must increase, got {np.array2string(known, threshold=8).replace(chr(10), '')}")
+
+
+def check_radians(name: str, value, low: float, high: float) -> None:
+    """`check_range` of an angle in radians, which says so: most that are out of range are degrees."""
+    check_range(name, value, low, high, "rad", _IN_DEGREES)
+
+
+def check_unit_vectors(name: str, value) -> None:
+    """A `ValueError` that names the argument, unless vectors along its first axis have the length 1."""
+    known = concrete(value)
+    if known is not None:
+        check_range(f"|{name}|", np.linalg.norm(known, axis=0), 1.0 - _LENGTH, 1.0 + _LENGTH, hint="unit vectors")
+
+
+def check_wavelength(wavelength_nm, low: float, high: float, of: str) -> None:
+    """`check_range` of wavelengths in nm by the table or formula that has none beyond, named by `of`."""
+    check_range("wavelength_nm", wavelength_nm, low, high, "nm", of)
+
+
+def table_range(table_nm, values=None) -> tuple[float, float]:
+    """The wavelengths at which a table is known: between its ends, and beyond one where its value is 0.
+
+    **Arguments:** `table_nm`, increasing along its last axis; `values` there, None if 0 at an end says nothing.
+    **Returns:** two wavelengths, nm; all of them for a table that is traced.
+    """
+    low, high = ALL_WAVELENGTHS
+    nodes, known = concrete(table_nm), concrete(values)
+    if nodes is None or nodes.size == 0 or (values is not None and known is None):
+        return low, high
+    starts, ends = (known is None or bool(np.any(known[..., at] != 0.0)) for at in (0, -1))
+    return float(nodes[..., 0].max()) if starts else low, float(nodes[..., -1].min()) if ends else high
+
+
+def within(low: float, high: float, unit: str = "", hint: str = "") -> dict[str, tuple]:
+    """The metadata of a field of a `Ranged` module whose concrete values must lie in [low, high]."""
+    return {"range": (low, high, unit, hint)}
+
+
+def radians_within(low: float, high: float) -> dict[str, tuple]:
+    """`within` for an angle in radians."""
+    return within(low, high, "rad", _IN_DEGREES)
+
+
+def as_float_or_none(value):
+    """`as_float` of a field that may be None."""
+    return None if value is None else as_float(value)
 
 
 class Ranged(eqx.Module):

@@ -27,7 +27,7 @@ from .retrieve import retrieve
 # how a time can end; all but the first three have NaN for values
 RESULTS = (
     "successful", "poor_fit", "max_steps_reached", "failed", "no_samples", "too_few_samples", "sun_below_horizon",
-    "not_a_sky",
+    "sun_too_low", "not_a_sky",
 )  # fmt: skip
 _VALUED = 3
 
@@ -44,7 +44,8 @@ class Fits:
     - `steps` `[time]`, `cost` `[time]`: half the sum of squares after the loss
     - `result` `[time]`, among `RESULTS`: "successful"; "poor_fit" (residuals beyond a quarter of the mean radiance) and
       "max_steps_reached", whose numbers do not hold; without any "failed" (not finite), "no_samples", "too_few_samples"
-      (fewer than parameters), "sun_below_horizon", "not_a_sky" (no sunlight makes such radiance)
+      (fewer than parameters), "sun_below_horizon", "sun_too_low" (for the solver), "not_a_sky" (no sunlight makes such
+      radiance)
     - `notes` `[time]`: sentences on what is odd about a time's samples or residuals; `fixed`: what was not fitted
     - `settings`: what was asked for and of which sky, as text; `time` `[time]`, UTC, NaT where unknown
     """

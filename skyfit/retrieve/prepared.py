@@ -12,7 +12,7 @@ from ..measured.quality.oddities import examine
 from ..measured.samples import station_pressure, STATION_RANGES
 from ..numerics import as_float
 from ..numerics.chain import Point
-from ..transport import AbstractSolver, OrdersOfScattering
+from ..transport import AbstractSolver, low_sun, OrdersOfScattering
 from .forward import Problem
 from .guess import first_guess
 from .model import SkyModel
@@ -126,11 +126,17 @@ def prepared(
 
 
 def flaws(asked: Prepared) -> list[str]:
-    """Why each time cannot be fitted: "no_samples", "too_few_samples", "sun_below_horizon", or "" if it can."""
+    """Why each time cannot be fitted.
+
+    "no_samples", "too_few_samples", "sun_below_horizon", "sun_too_low" for
+    the solver, or "" if it can.
+    """
     counts = asked.sampling.used[:, :, asked.chosen].sum(axis=(1, 2))
-    up = asked.sky.sun_zenith.reshape(len(counts), -1).max(axis=1) < 0.5 * np.pi
+    sun = asked.sky.sun_zenith.reshape(len(counts), -1).max(axis=1)
+    lowest = np.radians(asked.solver.suns.largest_deg)
     return [
-        "sun_below_horizon" if not up[t]
+        "sun_below_horizon" if not sun[t] < 0.5 * np.pi
+        else "sun_too_low" if sun[t] > lowest
         else "no_samples" if not counts[t]
         else "too_few_samples" if counts[t] < len(asked.free)
         else ""
@@ -143,11 +149,20 @@ def check(asked: Prepared) -> None:
     for t, flaw in enumerate(flaws(asked)):
         if flaw == "sun_below_horizon":
             raise ValueError(f"`sky` has the sun at or below the horizon at time {t}: it cannot be inverted")
+        if flaw == "sun_too_low":
+            sun = np.degrees(asked.sky.sun_zenith[t].max())
+            raise ValueError(
+                f"`sky` has the sun {sun:.4g} degrees from the zenith at time {t}, which {type(asked.solver).__name__} "
+                f"in {asked.solver.geometry} geometry knows to {asked.solver.suns.largest_deg:g} degrees"
+            )
         if flaw:
             count = int(asked.sampling.used[t][:, asked.chosen].sum())
             raise ValueError(
                 f"`sky` has {count} usable samples at time {t}, fewer than the {len(asked.free)} free parameters"
             )
+    said = low_sun(asked.solver, asked.sky.sun_zenith)
+    if said is not None:
+        asked.sampling.notes.append(said)
     if asked.sampling.response is None:
         asked.sampling.notes += examine(asked.sky, asked.sampling.used)
 

@@ -5,10 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from ..numerics import as_float, safe_sqrt
+from ..numerics import as_float, as_float_or_none, check_radians, radians_within, Ranged, safe_sqrt, within
 
 
 LOWEST_VISIBLE = -1e-6  # cosine of a view that still counts as horizontal
+MOST_AZIMUTH = 4.0 * np.pi  # rad, either way: what is beyond two turns is degrees
 
 
 def haversine(zenith_1, zenith_2, azimuth_difference):
@@ -42,15 +43,20 @@ def above_horizon(zenith: Float[Array, " direction"]) -> Bool[Array, " direction
     return jnp.cos(zenith) > LOWEST_VISIBLE
 
 
-class Directions(eqx.Module):
+class Directions(Ranged):
     """Directions of view: zenith and azimuth in radians, and the solid angle each stands for, if known.
 
-    Azimuth is clockwise from north. `weight` is in steradians and sums to 2 pi over a hemisphere.
+    Zenith angles are from 0 to pi. Azimuth is clockwise from north, to two turns either way. `weight` is in steradians
+    and sums to 2 pi over a hemisphere.
     """
 
-    zenith: Float[Array, " direction"] = eqx.field(converter=as_float)
-    azimuth: Float[Array, " direction"] = eqx.field(converter=as_float)
-    weight: Float[Array, " direction"] | None = None
+    zenith: Float[Array, " direction"] = eqx.field(converter=as_float, metadata=radians_within(0.0, np.pi))
+    azimuth: Float[Array, " direction"] = eqx.field(
+        converter=as_float, metadata=radians_within(-MOST_AZIMUTH, MOST_AZIMUTH)
+    )
+    weight: Float[Array, " direction"] | None = eqx.field(
+        converter=as_float_or_none, default=None, metadata=within(0.0, 4.0 * np.pi, "sr")
+    )
 
     def __check_init__(self):
         if self.zenith.ndim != 1 or self.zenith.shape != self.azimuth.shape:
@@ -92,8 +98,10 @@ def unit_vectors(
     r"""Unit vectors of directions, $(\sin\theta \sin\phi, \sin\theta \cos\phi, \cos\theta)$: east, north, up.
 
     **Arguments:** zenith angle and azimuth clockwise from north, radians, of one shape.
-    **Returns:** dimensionless, `[3, direction]`. **Valid:** everywhere.
+    **Returns:** dimensionless, `[3, direction]`. **Valid:** zenith angles from 0 to pi, azimuths to two turns.
     """
+    check_radians("zenith", zenith, 0.0, np.pi)
+    check_radians("azimuth", azimuth, -MOST_AZIMUTH, MOST_AZIMUTH)
     sine = jnp.sin(zenith)
     return jnp.stack([sine * jnp.sin(azimuth), sine * jnp.cos(azimuth), jnp.cos(zenith)])
 

@@ -9,12 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..light import earth_sun_factor, extraterrestrial_irradiance
-from ..numerics import as_float
-from .directions import Directions
-
-
-def _height(value):
-    return None if value is None else as_float(value)
+from ..numerics import as_float, as_float_or_none, IN_MICROMETRES, radians_within, Ranged, within
+from .directions import Directions, MOST_AZIMUTH
 
 
 def _radians(degrees):
@@ -22,20 +18,27 @@ def _radians(degrees):
     return jnp.deg2rad(as_float(degrees)) if isinstance(degrees, jax.Array) else np.deg2rad(np.asarray(degrees, float))
 
 
-class Scene(eqx.Module):
+class Scene(Ranged):
     """The geometry and the spectrum of one sky, seen by one observer.
 
     `sun_zenith`, `sun_azimuth` in radians, azimuth clockwise from north, as they are at the observer;
-    `wavelength_nm` in nm; `solar_irradiance` on a plane normal to the sun at the top of the atmosphere,
+    `wavelength_nm`, 200 to 5000 nm; `solar_irradiance` on a plane normal to the sun at the top of the atmosphere,
     W m^-2 nm^-1; `height` of the observer above the ground in m, None on the ground, which costs nothing.
+
+    **Valid:** zenith angle 0 to pi, azimuth to two turns, light and height not negative, else `ValueError` where they
+    are not traced.
     """
 
-    sun_zenith: Float[Array, ""] = eqx.field(converter=as_float)
-    sun_azimuth: Float[Array, ""] = eqx.field(converter=as_float)
+    sun_zenith: Float[Array, ""] = eqx.field(converter=as_float, metadata=radians_within(0.0, np.pi))
+    sun_azimuth: Float[Array, ""] = eqx.field(converter=as_float, metadata=radians_within(-MOST_AZIMUTH, MOST_AZIMUTH))
     view: Directions
-    wavelength_nm: Float[Array, " wavelength"] = eqx.field(converter=as_float)
-    solar_irradiance: Float[Array, " wavelength"] = eqx.field(converter=as_float)
-    height: Float[Array, ""] | None = eqx.field(converter=_height, default=None)
+    wavelength_nm: Float[Array, " wavelength"] = eqx.field(
+        converter=as_float, metadata=within(200.0, 5000.0, "nm", IN_MICROMETRES)
+    )
+    solar_irradiance: Float[Array, " wavelength"] = eqx.field(converter=as_float, metadata=within(0.0, 1e30))
+    height: Float[Array, ""] | None = eqx.field(
+        converter=as_float_or_none, default=None, metadata=within(0.0, 1e9, "m")
+    )
 
     def __check_init__(self):
         if self.wavelength_nm.ndim != 1 or self.solar_irradiance.shape != self.wavelength_nm.shape:
@@ -73,6 +76,4 @@ class Scene(eqx.Module):
             values = irradiance
         if day_of_year is not None:
             values = values * earth_sun_factor(day_of_year)
-        if isinstance(height, float | int) and not height >= 0.0:
-            raise ValueError(f"`height` must be >= 0 m or None, got {height}")
         return cls(_radians(sun_zenith), _radians(sun_azimuth), view, wavelength_nm, values, height)

@@ -3,11 +3,9 @@
 import math
 
 import jax.numpy as jnp
-import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, Real
 
-from ..numerics import safe_sqrt
+from ..numerics import check_radians, safe_sqrt
 
 
 def solar_time(
@@ -26,8 +24,8 @@ def solar_time(
     **Valid:** within about 1 minute. Angles beyond a turn are degrees: a `ValueError`, where they are not traced.
     **Source:** Preetham 1999, A.6, which does not say which way longitudes count: only west-positive ones agree.
     """
-    _check_radians("longitude_west", longitude_west, 2.0 * math.pi)
-    _check_radians("meridian_west", meridian_west, 2.0 * math.pi)
+    check_radians("longitude_west", longitude_west, -2.0 * math.pi, 2.0 * math.pi)
+    check_radians("meridian_west", meridian_west, -2.0 * math.pi, 2.0 * math.pi)
     day = jnp.asarray(day_of_year)
     spring = 0.170 * jnp.sin(4.0 * jnp.pi * (day - 80) / 373.0)
     winter = 0.129 * jnp.sin(2.0 * jnp.pi * (day - 8) / 355.0)
@@ -59,7 +57,7 @@ def short_sun_position(
     quotient: at Ithaca, 27 May, 8:00 EST, 54.8 degrees east of south, where the sun stands 87.3. The azimuth is
     turned here from west of south to the house's.
     """
-    _check_radians("latitude", latitude, 0.5 * math.pi)
+    check_radians("latitude", latitude, -0.5 * math.pi, 0.5 * math.pi)
     hour = jnp.pi / 12.0 * jnp.asarray(solar_hours)
     declination = 0.4093 * jnp.sin(2.0 * jnp.pi * (jnp.asarray(day_of_year) - 81) / 368.0)
     up = jnp.sin(latitude) * jnp.sin(declination) - jnp.cos(latitude) * jnp.cos(declination) * jnp.cos(hour)
@@ -69,9 +67,3 @@ def short_sun_position(
     overhead = aside == 0.0
     west_of_south = jnp.arctan2(jnp.where(overhead, 0.0, west), jnp.where(overhead, 1.0, south))
     return jnp.arctan2(safe_sqrt(aside), up), jnp.mod(west_of_south + jnp.pi, 2.0 * jnp.pi)
-
-
-def _check_radians(name: str, value, limit: float) -> None:
-    # float32 pi/2 is above pi/2
-    if not isinstance(value, Tracer) and not np.all(np.abs(np.asarray(value)) <= limit + 1e-6):
-        raise ValueError(f"`{name}` must be within +-{limit:.4g} rad, got {np.max(np.abs(np.asarray(value))):g}")

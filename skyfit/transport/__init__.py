@@ -5,10 +5,14 @@ from .air import (
 )
 from .contract import (
     AbstractSolver as AbstractSolver,
+    check_scene as check_scene,
     Geometry as Geometry,
     Irradiances as Irradiances,
+    low_sun as low_sun,
+    LowSunWarning as LowSunWarning,
     Path as Path,
     Stokes as Stokes,
+    Suns as Suns,
 )
 from .double import DoubleScattering as DoubleScattering
 from .orders import OrdersOfScattering as OrdersOfScattering

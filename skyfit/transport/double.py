@@ -6,7 +6,19 @@ from jaxtyping import Array, Float
 
 from ..atmosphere import Atmosphere, Ground
 from ..scene import Scene
-from .contract import AbstractSolver, check_geometry, check_on_ground, Geometry, Irradiances, SCALAR_ERROR
+from .contract import (
+    AbstractSolver,
+    check_geometry,
+    check_on_ground,
+    check_scene,
+    checked,
+    FLAT_SUNS,
+    Geometry,
+    Irradiances,
+    SCALAR_ERROR,
+    SPHERICAL_SUNS,
+    Suns,
+)
 from .optics import optics, scatterer_indices, transmitted_sun
 from .orders.layering import Resolution
 from .orders.solver import streamed_light
@@ -57,6 +69,10 @@ class DoubleScattering(AbstractSolver):
         return cls(streams=16, modes=24, levels=100, nodes=64, every_wavelength=True, geometry=geometry)
 
     @property
+    def suns(self) -> Suns:
+        return SPHERICAL_SUNS if self.geometry == "spherical" else FLAT_SUNS
+
+    @property
     def model_error(self) -> float:
         return SCALAR_ERROR
 
@@ -65,6 +81,7 @@ class DoubleScattering(AbstractSolver):
 
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance by the first two orders of scattering, W m^-2 sr^-1 nm^-1."""
+        check_scene(self, atmosphere, scene)
         check_on_ground(scene, "DoubleScattering")
         return self._light(atmosphere, scene, spectral_nodes(atmosphere, scene, self.every_wavelength))
 
@@ -72,7 +89,7 @@ class DoubleScattering(AbstractSolver):
     def _light(self, atmosphere: Atmosphere, scene: Scene, few: SpectralNodes | None):
         return streamed_light(_over_black(atmosphere), scene, self._resolution(1), self.nodes, few)[0]
 
-    @eqx.filter_jit
+    @checked
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground: the direct beam, the light scattered once or twice, the ground's reflection."""
         check_on_ground(scene, "DoubleScattering")

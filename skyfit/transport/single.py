@@ -3,13 +3,27 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractConstituent, Atmosphere, Layered
+from ..numerics import within
 from ..scene import Scene
 from .columns import slant_columns
-from .contract import AbstractSolver, check_geometry, Geometry, Irradiances, Path, SCALAR_ERROR, Stokes
+from .contract import (
+    AbstractSolver,
+    ALL_SUNS,
+    check_geometry,
+    checked,
+    FLAT_SUNS,
+    Geometry,
+    Irradiances,
+    Path,
+    SCALAR_ERROR,
+    Stokes,
+    Suns,
+)
 from .dome import fluxes_by_quadrature
 from .optics import optics, scatterer_indices, transmitted_sun
 from .views import end_points, eye_columns, lit_points, Views, views_of
@@ -128,7 +142,7 @@ class SingleScattering(AbstractSolver):
     **Source:** Nishita et al. 1993; Bruneton & Neyret 2008, sec. 3; ERRATA of the papers on sun distances.
     """
 
-    nodes: int = eqx.field(static=True, default=24)
+    nodes: int = eqx.field(static=True, default=24, metadata=within(1.0, np.inf))
     geometry: Geometry = eqx.field(static=True, default="spherical")
 
     def __check_init__(self):
@@ -150,23 +164,27 @@ class SingleScattering(AbstractSolver):
         return cls(nodes=64, geometry=geometry)
 
     @property
+    def suns(self) -> Suns:
+        return ALL_SUNS if self.geometry == "spherical" else FLAT_SUNS
+
+    @property
     def model_error(self) -> float:
         return SCALAR_ERROR
 
     def coarser(self) -> AbstractSolver:
         return self
 
-    @eqx.filter_jit
+    @checked
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Radiance by single scattering, W m^-2 sr^-1 nm^-1; black below the horizon of an observer on the ground."""
         return _radiance(self, atmosphere, scene)
 
-    @eqx.filter_jit
+    @checked
     def stokes(self, atmosphere: Atmosphere, scene: Scene) -> Stokes:
         """Radiance and linear polarisation by single scattering."""
         return Stokes(*_light(self, atmosphere, scene, stokes=True))
 
-    @eqx.filter_jit
+    @checked
     def path(self, atmosphere: Atmosphere, scene: Scene, distance: Float[Array, " direction"]) -> Path:
         """The air between the observer and objects at `distance` (m) along each view.
 
@@ -186,7 +204,7 @@ class SingleScattering(AbstractSolver):
             inscatter = once * scene.solar_irradiance[None]
         return Path(jnp.exp(-depth), inscatter)
 
-    @eqx.filter_jit
+    @checked
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground: the direct beam, the sky by quadrature, the ground's reflection."""
         extinction = optics(atmosphere.constituents, scene.wavelength_nm).extinction

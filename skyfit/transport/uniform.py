@@ -9,13 +9,15 @@ from jaxtyping import Array, Float
 from ..atmosphere import AbstractConstituent, Atmosphere
 from ..numerics import phi1
 from ..scene import above_horizon, haversine, relative_airmass, Scene
-from .contract import AbstractSolver, check_on_ground, Geometry, Irradiances, Path, SCALAR_ERROR
+from .contract import AbstractSolver, check_on_ground, checked, Geometry, Irradiances, Path, SCALAR_ERROR, Suns
 from .dome import fluxes_by_quadrature
 from .optics import optics
 
 
 # m, objects further off are taken to be here
 _FARTHEST = 1e9
+# 95 % of views to 85 degrees under a sun at 88 are within this, by `SingleScattering.fine` on a sphere, haze to 0.3
+UNIFORM_SUNS = Suns(90.0, 1.0)
 
 
 class Uniform(AbstractSolver):
@@ -57,26 +59,30 @@ class Uniform(AbstractSolver):
         return cls(geometry)
 
     @property
+    def suns(self) -> Suns:
+        return UNIFORM_SUNS
+
+    @property
     def model_error(self) -> float:
         return SCALAR_ERROR
 
     def coarser(self) -> AbstractSolver:
         return self
 
-    @eqx.filter_jit
+    @checked
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance by one scattering in the shells, W m^-2 sr^-1 nm^-1."""
         check_on_ground(scene, "Uniform")
         return _radiance(atmosphere, scene)
 
-    @eqx.filter_jit
+    @checked
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground: the direct beam, the sky by quadrature, the ground's reflection."""
         check_on_ground(scene, "Uniform")
         sunlight = _sun(atmosphere.constituents, scene)
         return fluxes_by_quadrature(lambda sky: _radiance(atmosphere, sky), atmosphere, scene, sunlight, rings=16)
 
-    @eqx.filter_jit
+    @checked
     def path(self, atmosphere: Atmosphere, scene: Scene, distance: Float[Array, " direction"]) -> Path:
         r"""What lies between the eye and objects in air of the ground's density, $e^{-\beta_{ex} s}$ and eq. 4.
 

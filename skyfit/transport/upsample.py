@@ -13,7 +13,7 @@ from ..atmosphere import Atmosphere
 from ..numerics import chebyshev_nodes, chebyshev_weights, hat_weights
 from ..scene import above_horizon, Directions, haversine, Scene
 from .columns import exponential_nodes, slant_columns
-from .contract import AbstractSolver, check_on_ground, Geometry
+from .contract import AbstractSolver, check_on_ground, check_scene, Geometry
 from .optics import optics
 
 
@@ -36,7 +36,6 @@ class Upsampled(NamedTuple):
     error: Float[Array, "direction wavelength"]
 
 
-@eqx.filter_jit
 def upsample(
     solver: AbstractSolver, atmosphere: Atmosphere, scene: Scene, zeniths: int = 20, azimuths: int = 14
 ) -> Upsampled:
@@ -67,6 +66,12 @@ def upsample(
     **Source:** Klassen 1987, sec. 8. He integrates anew where the angle has changed by a threshold and repeats the
     colour between; here the threshold is replaced by an interpolant, which has no bands, and its error.
     """
+    check_scene(solver, atmosphere, scene)
+    return _upsampled(solver, atmosphere, scene, zeniths, azimuths)
+
+
+@eqx.filter_jit
+def _upsampled(solver: AbstractSolver, atmosphere: Atmosphere, scene: Scene, zeniths: int, azimuths: int) -> Upsampled:
     check_on_ground(scene, "upsample")
     if zeniths < 4 or azimuths < 4:
         raise ValueError(f"`zeniths` and `azimuths` must be >= 4, got {zeniths} and {azimuths}")

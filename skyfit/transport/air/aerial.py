@@ -2,10 +2,11 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ...atmosphere import AbstractConstituent, Atmosphere, Exponential
-from ...numerics import exp_mean, phi_functions
+from ...numerics import check_range, exp_mean, phi_functions, Ranged, within
 from ...scene import Scene
 from ..contract import Path
 from ..optics import Optics, optics
@@ -23,7 +24,7 @@ _FIRST_DEPTH = 2.0
 _NO_AIR = 1e-15
 
 
-class AerialPerspective(eqx.Module):
+class AerialPerspective(Ranged):
     r"""Extinction and in-scatter between an eye and objects, for constituents that thin out exponentially.
 
     $L = L_0 \tau + \int_0^s \sum_i \beta_i P_i\, u_i(x)\, \tau(0..x)\, dx$, $u_i = e^{-h(x) / H_i}$,
@@ -48,11 +49,7 @@ class AerialPerspective(eqx.Module):
     up at 5 km, useless at 20 km and in single precision.
     """
 
-    pieces: int = eqx.field(static=True, default=9)
-
-    def __check_init__(self):
-        if self.pieces < 2:
-            raise ValueError(f"`pieces` must be at least 2, got {self.pieces}")
+    pieces: int = eqx.field(static=True, default=9, metadata=within(2.0, np.inf))
 
     @classmethod
     def draft(cls) -> "AerialPerspective":
@@ -69,7 +66,6 @@ class AerialPerspective(eqx.Module):
         """16 pieces: within 0.01 %."""
         return cls(16)
 
-    @eqx.filter_jit
     def path(
         self,
         atmosphere: Atmosphere,
@@ -83,6 +79,11 @@ class AerialPerspective(eqx.Module):
         turns into each view, W m^-2 sr^-1 nm^-1, by `scattered_light`.
         **Returns:** `Path`. **Valid:** any view; beyond 1e9 m objects are taken to be at 1e9 m.
         """
+        _check(atmosphere, scene, distance)
+        return self._path(atmosphere, scene, distance, source)
+
+    @eqx.filter_jit
+    def _path(self, atmosphere: Atmosphere, scene: Scene, distance, source) -> Path:
         constituents = exponential_constituents(atmosphere)
         height, cosine, distance = _geometry(scene, distance)
         if not constituents:
@@ -124,6 +125,7 @@ def constant_ambient(
     **Returns:** `Path`. **Valid:** as a rival: it knows neither view nor sun, nor that the air thins out.
     **Source:** Ward-Larson 1998, as Preetham 1999, sec. 5 and Fig. 8, have it.
     """
+    _check(atmosphere, scene, distance)
     constituents = exponential_constituents(atmosphere)
     height, _, distance = _geometry(scene, distance)
     extinction = jnp.zeros_like(scene.wavelength_nm)
@@ -131,6 +133,12 @@ def constant_ambient(
         extinction = extinction + c.optical_depth_at(scene.wavelength_nm) * c.profile.density(height)
     slant = distance[:, None] * extinction[None]
     return Path(jnp.exp(-slant), -jnp.expm1(-slant) * ambient[None])
+
+
+def _check(atmosphere: Atmosphere, scene: Scene, distance) -> None:
+    check_range("distance", distance, 0.0, np.inf, "m")
+    for constituent in atmosphere.constituents:
+        constituent.check_wavelengths(scene.wavelength_nm)
 
 
 def exponential_constituents(atmosphere: Atmosphere) -> tuple[AbstractConstituent, ...]:
