@@ -17,6 +17,8 @@ STATION_RANGES = {
     "altitude_m": (-500.0, 11e3, "m"),
     "pressure_pa": (2e3, 120e3, "Pa"),
     "fwhm_nm": (1e-3, 1000.0, "nm"),
+    "ozone_du": (0.0, 1000.0, "Dobson units"),
+    "sun_distance_au": (0.98, 1.02, "au"),
 }
 # An azimuth may be unwrapped by a turn or two; past seven half turns it must be in degrees.
 _LARGEST_AZIMUTH = 7.0 * np.pi
@@ -38,6 +40,8 @@ class Sky:
       moved between the wavelengths (a filter wheel takes its time); `sun_at` gives the mean
     - `time`: datetime64, UTC, [time]; NaT where unknown
     - `latitude_deg`, `longitude_deg`, `altitude_m`, `pressure_pa`: the station, NaN if unknown
+    - `ozone_du`: the column of ozone over it; `sun_distance_au`: from the Earth, used before the date's; NaN if unknown
+    - `made_by`: what made a simulated sky, in names and numbers as JSON holds them; empty for a measured one
     - `fwhm_nm`: full width at half maximum of the instrument's Gaussian line shape, nm, or NaN
     - `response`: the channels that stand in the place of wavelengths, and `radiance` is what they read; or None
     - `direct_irradiance`, `direct_sigma`: of the sun's beam on a plane normal to it, W m^-2 nm^-1,
@@ -66,6 +70,9 @@ class Sky:
     altitude_m: float = float("nan")
     pressure_pa: float = float("nan")
     fwhm_nm: float = float("nan")
+    ozone_du: float = float("nan")
+    sun_distance_au: float = float("nan")
+    made_by: dict = field(default_factory=dict)
     response: Response | None = None
     direct_irradiance: np.ndarray | None = None
     direct_sigma: np.ndarray | None = None

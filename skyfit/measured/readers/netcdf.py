@@ -7,18 +7,26 @@ import numpy as np
 from ..response import Response
 from ..samples import Sky
 from ..units import IRRADIANCE, irradiance_factor, is_nanometre, is_radian, RADIANCE, radiance_factor
+from .header import Head, quantity_of
 from .screening import Contents, screened
 
 
 AXES = ("time", "direction", "wavelength")
 BEAM = "direct_normal_irradiance"
-_STATION = {
-    "latitude": ("latitude",),
-    "longitude": ("longitude",),
-    "altitude_m": ("altitude_m", "elevation_m"),
-    "pressure_pa": ("pressure_pa",),
-    "fwhm_nm": ("fwhm_nm",),
-}
+_USED = (
+    *AXES, "radiance", "sigma", "suspect", "view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth",
+    "sun_azimuth_instrument", BEAM, f"{BEAM}_sigma",
+)  # fmt: skip
+# what describes a file to people and catalogues: by CF and ACDD, and what libraries leave
+_DESCRIPTIVE = frozenset(
+    "conventions title history institution source references featuretype summary keywords keywords_vocabulary id "
+    "naming_authority processing_level acknowledgement license standard_name_vocabulary project program platform "
+    "platform_vocabulary instrument instrument_vocabulary cdm_data_type metadata_link product_version coordinates "
+    "coverage_content_type uuid doi licence copyright rights url contact author authors email creator publisher contributor".split()
+)
+_DESCRIPTIVE_PARTS = ("creator_", "publisher_", "contributor_", "date_", "geospatial_", "time_coverage_", "_nc")
+# of these a file says one thing, or is wrong
+_CANONICAL = ("latitude", "longitude", "altitude_m", "elevation_m", "pressure_pa", "fwhm_nm")
 
 
 def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
@@ -33,7 +41,8 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
       [time, wavelength], or latitude, longitude and time. Channels of a camera or photometer: `channel` in place of
       the dimension wavelength, `response` [channel, spectrum], `spectrum` (nm), optionally `channel` (names), and
       `wavelength` [channel], what they are called; `radiance` is then in any unit, that of the response
-    - `station`: numbers that stand instead of the file's own, by name
+    - `station`: numbers that stand instead of the file's own, by name; those are attributes, or variables of one value,
+      in the spellings and units that `header` knows
 
     **Returns** a `Sky`. `sun_azimuth_instrument`, where finite, stands before `sun_azimuth`.
 
@@ -64,8 +73,13 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
     notes += note
     direct, direct_sigma, converted = _beam(name, data, radiance)
     notes += converted
-    found = _station(name, data)
-    found.update(station)
+    head, taken = _head(name, data)
+    used = {*_USED, *taken}
+    unused = {
+        "variables": [str(key) for key in data.variables if key not in used],
+        "attributes": head.unknown,
+    }
+    notes += [f"{what} not used: {', '.join(keys)}" for what, keys in unused.items() if keys]
     return screened(
         Contents(
             name=name,
@@ -77,12 +91,13 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
             view_zenith=zenith,
             view_azimuth=azimuth,
             wavelength=_wavelength(name, data),
-            time=_time(name, data, shape[0]),
+            time=_time(name, data, shape[0], head.moment),
             sun_zenith=sun_zenith,
             sun_azimuth=sun_azimuth,
-            station=found,
-            saturation=_saturation(name, data, factor),
-            notes=_own_notes(data) + notes,
+            station=head.station | station,
+            saturation=_saturation(head, data, factor),
+            notes=head.notes + notes,
+            made_by=head.made_by,
             angles_known=known,
             turned=bool(note),
             response=response,
@@ -282,9 +297,10 @@ def _wavelength(name, data):
     return _numbers(name, variable)
 
 
-def _time(name, data, length):
+def _time(name, data, length, moment):
+    """Of each time; `moment` where the file has no such variable."""
     if "time" not in data.variables:
-        return np.full(length, np.datetime64("NaT", "ns"))
+        return np.full(length, moment)
     values = data["time"]
     if values.dtype.kind != "M":
         raise ValueError(
@@ -294,46 +310,36 @@ def _time(name, data, length):
     return np.broadcast_to(values.values.astype("datetime64[ns]"), (length,)).copy()
 
 
-def _station(name, data):
-    station = {}
-    for key, spellings in _STATION.items():
-        for spelling in spellings:
-            number = _scalar(name, data, spelling)
-            if number is not None and np.isfinite(number):
-                station.setdefault(key, number)
-    return station
-
-
-def _scalar(name, data, key):
-    """One number from an attribute or a variable, or None."""
-    if key in data.variables:
+def _head(name, data):
+    """What attributes and single numbers among the variables say, and the names of those variables."""
+    head, taken = Head(name), []
+    for key, value in data.attrs.items():
+        plain = str(key).lower()
+        if quantity_of(plain) is None and (plain in _DESCRIPTIVE or plain.startswith(_DESCRIPTIVE_PARTS)):
+            continue
+        value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
+        if not (isinstance(value, int | float | np.number) and not np.isfinite(value)):
+            head.entry("attribute", str(key), value)
+    for key in map(str, data.variables):
+        if key in _USED or quantity_of(key) is None:
+            continue
         numbers = np.unique(_numbers(name, data[key]))
-        kind = "variable"
-    elif key in data.attrs:
-        kind = "attribute"
-        try:
-            numbers = np.unique(np.asarray(data.attrs[key], dtype=np.float64))
-        except (TypeError, ValueError):
-            raise ValueError(f"{name}: attribute `{key}`: expected a number, found {data.attrs[key]!r}") from None
-    else:
-        return None
-    if numbers.size != 1:
-        raise ValueError(f"{name}: {kind} `{key}`: expected one number, found {numbers.size}")
-    return float(numbers[0])
+        if numbers.size != 1:
+            if key in _CANONICAL:
+                raise ValueError(f"{name}: variable `{key}`: expected one number, found {numbers.size}")
+            continue
+        taken.append(key)
+        if np.isfinite(numbers[0]):
+            head.number("variable", key, f"{float(numbers[0])!r}", str(data[key].attrs.get("units", "")))
+    return head, taken
 
 
-def _saturation(name, data, factor):
+def _saturation(head, data, factor):
     """The saturation radiance, an attribute of `radiance` or of the file, in its units."""
-    attributes = data["radiance"].attrs
-    value = attributes.get("saturation", data.attrs.get("saturation"))
+    value = data["radiance"].attrs.get("saturation", head.saturation)
     if value is None:
         return None
     try:
         return float(value) * factor
     except (TypeError, ValueError):
-        raise ValueError(f"{name}: attribute `saturation`: expected a number, found {value!r}") from None
-
-
-def _own_notes(data):
-    text = data.attrs.get("notes")
-    return text.splitlines() if isinstance(text, str) else []
+        raise ValueError(f"{head.name}: attribute `saturation`: expected a number, found {value!r}") from None

@@ -27,7 +27,8 @@ class Contents:
     """What a reader found: file units (degrees), before any screening.
 
     **Arguments** arrays as in `Sky`, angles in degrees; views may be NaN where a time has no samples; `station` holds
-    numbers by the names latitude, longitude, altitude_m, pressure_pa, fwhm_nm; `suspect` is True where masked;
+    numbers by the names latitude, longitude, altitude_m, pressure_pa, fwhm_nm, ozone_du, sun_distance_au; `made_by`:
+    what made a simulated sky; `suspect` is True where masked;
     `rows`: axis -> the row where each of its values first stands, for errors ("direction": in the shape of the views,
     "sun": of the sun's angles, if not that of "time");
     `angles_known`: the file said radians, so that no small angle is suspicious; `turned`: azimuths are in the
@@ -53,6 +54,7 @@ class Contents:
     angles_known: bool = False
     turned: bool = False
     response: Response | None = None
+    made_by: dict = field(default_factory=dict)
     rows: dict[str, list] = field(default_factory=dict)
 
 
@@ -93,6 +95,9 @@ def screened(found: Contents) -> Sky:
             altitude_m=station.get("altitude_m", np.nan),
             pressure_pa=station.get("pressure_pa", np.nan),
             fwhm_nm=station.get("fwhm_nm", np.nan),
+            ozone_du=station.get("ozone_du", np.nan),
+            sun_distance_au=station.get("sun_distance_au", np.nan),
+            made_by=found.made_by,
             response=found.response,
             direct_irradiance=direct,
             direct_sigma=direct_sigma,

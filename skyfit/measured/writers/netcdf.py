@@ -1,5 +1,6 @@
 """NetCDF: time, direction, wavelength or channel."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,8 @@ def write_netcdf(sky: Sky, path: Path) -> None:
         for name, variable in variables.items():
             _put(file, name, *variable, packed=variable[0] == whole)
         file.attrs.update(attributes(sky))
+        if sky.made_by:
+            file.attrs["made_by"] = json.dumps(sky.made_by)
         if sky.notes:
             file.attrs["notes"] = "\n".join(sky.notes)
 
@@ -107,5 +110,7 @@ def attributes(sky: Sky) -> dict[str, float]:
         "altitude_m": sky.altitude_m,
         "pressure_pa": sky.pressure_pa,
         "fwhm_nm": sky.fwhm_nm,
+        "ozone_du": sky.ozone_du,
+        "sun_distance_au": sky.sun_distance_au,
     }
     return {name: float(value) for name, value in values.items() if np.isfinite(value)}

@@ -1,6 +1,7 @@
 """Tidy CSV: one row is one sample."""
 
 import csv
+import json
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,8 @@ def write_tidy(sky: Sky, path: Path) -> None:
     with open(path, "w", encoding="utf-8", newline="") as stream:
         for key, value in attributes(sky).items():
             stream.write(f"# {key}: {value!r}\n")
+        if sky.made_by:
+            stream.write(f"# made_by: {json.dumps(sky.made_by)}\n")
         stream.write(f"# units: {RADIANCE}\n")
         for note in sky.notes:
             stream.write(f"# note: {' '.join(note.split())}\n")
