@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..measured import read_response, Response, Sky, station_pressure
-from ..retrieve import check_free, PARAMETERS, PARTICLE_FREE, SkyModel, SLOW, start_model, with_values
+from ..measured import read_response, Response, Sky
+from ..retrieve import check_free, PARAMETERS, PARTICLE_FREE, SkyModel, SLOW, start_at, with_values
 from .options import in_range
 
 
@@ -16,7 +16,7 @@ def names_in(text: str) -> tuple[str, ...]:
 
 def start_of(free: tuple[str, ...], fix: Sequence[str], sky: Sky) -> SkyModel:
     """The first guess, with the values that the user knows."""
-    start = start_model(free, station_pressure(sky)[0])
+    start = start_at(sky, free)
     check_free(free, start)
     known = {name: _value("--fix", name, text) for name, text in _by_name("--fix", "name=value", fix).items()}
     for name in known:

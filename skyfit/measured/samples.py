@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from ..atmosphere import pressure_at_altitude, SEA_LEVEL_PRESSURE
 from .response import LineShape, Response, Seen
 
 
@@ -383,20 +382,6 @@ def _extremes(values):
     if not np.all(np.isfinite(values)):
         return "values that are not finite"
     return f"{values.min():g} to {values.max():g}"
-
-
-def day_of_year(time: np.datetime64) -> int:
-    """The day of the year, 1 for 1 January."""
-    return int((time.astype("datetime64[D]") - time.astype("datetime64[Y]")).astype(int)) + 1
-
-
-def station_pressure(sky: Sky) -> tuple[float, str]:
-    """The pressure at the station, Pa, by the file or by its altitude, and a note where it is assumed."""
-    if np.isfinite(sky.pressure_pa):
-        return sky.pressure_pa, ""
-    if np.isfinite(sky.altitude_m):
-        return float(pressure_at_altitude(sky.altitude_m)), ""
-    return SEA_LEVEL_PRESSURE, "no pressure or altitude in the file: Rayleigh depth of sea level"
 
 
 def time_names(sky: Sky) -> tuple[str, ...]:

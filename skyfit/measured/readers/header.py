@@ -8,7 +8,7 @@ from datetime import datetime, UTC
 import numpy as np
 
 from ...light import earth_sun_factor
-from ..samples import day_of_year
+from ..station import day_of_year
 
 
 _LENGTH = {

@@ -22,7 +22,8 @@ _DESCRIPTIVE = frozenset(
     "conventions title history institution source references featuretype summary keywords keywords_vocabulary id "
     "naming_authority processing_level acknowledgement license standard_name_vocabulary project program platform "
     "platform_vocabulary instrument instrument_vocabulary cdm_data_type metadata_link product_version coordinates "
-    "coverage_content_type uuid doi licence copyright rights url contact author authors email creator publisher contributor".split()
+    "coverage_content_type uuid doi licence copyright rights url contact author authors email creator publisher "
+    "contributor".split()
 )
 _DESCRIPTIVE_PARTS = ("creator_", "publisher_", "contributor_", "date_", "geospatial_", "time_coverage_", "_nc")
 # of these a file says one thing, or is wrong
