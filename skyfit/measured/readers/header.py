@@ -99,18 +99,18 @@ class Head:
 
     def entry(self, place: str, key: str, value: object) -> None:
         """A key and its value; what is not understood is remembered as unknown."""
-        plain = _plain(key)
+        word = plain(key)
         if quantity_of(key) is not None:
             self.number(place, key, str(value))
-        elif plain in _UNITS:
+        elif word in _UNITS:
             self.units = str(value), f"{place} `{key}`"
-        elif plain == "saturation":
+        elif word == "saturation":
             self.saturation = self._parsed(place, key, str(value), {})[0]
-        elif plain in _REMARKS:
+        elif word in _REMARKS:
             self.notes += str(value).splitlines()
-        elif plain == "made_by":
+        elif word == "made_by":
             self._maker(place, str(value))
-        elif not (plain.removesuffix("_utc") in _MOMENTS and self._time(str(value))):
+        elif not (word.removesuffix("_utc") in _MOMENTS and self._time(str(value))):
             self.unknown.append(key)
 
     def number(self, place: str, key: str, text: str, units: str = "") -> None:
@@ -118,7 +118,7 @@ class Head:
         quantity, said = quantity_of(key) or ("", "")
         known = _QUANTITIES[quantity][0]
         value, own = self._parsed(place, key, text, known)
-        of_variable = _plain(units)
+        of_variable = plain(units)
         told = {unit for unit in (said, own, of_variable) if unit}
         if not told <= known.keys() or len({known[unit] for unit in told}) > 1:
             found = ", ".join(sorted(told))
@@ -134,7 +134,7 @@ class Head:
 
     def _parsed(self, place, key, text, known):
         match = _VALUE.fullmatch(text.strip().replace("°", " deg "))
-        unit = _plain(match[2]) if match else ""
+        unit = plain(match[2]) if match else ""
         # "42.4 deg N"
         unit = unit.removeprefix("deg_") if unit.removeprefix("deg_") in known else unit
         if match is None or (unit and unit not in known):
@@ -191,7 +191,7 @@ def moment_of(text: str) -> np.datetime64:
 
 def quantity_of(key: str) -> tuple[str, str] | None:
     """Which number of a station a key means, by its name inside, and the unit that the key says; None if it is none."""
-    words = _plain(key).split("_")
+    words = plain(key).split("_")
     for rest in (words, words[1:]) if words[0] in _PLACES else (words,):
         for at in range(1, len(rest) + 1):
             for width in (2, 1, 0):
@@ -203,7 +203,7 @@ def quantity_of(key: str) -> tuple[str, str] | None:
     return None
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
     """A key or unit in lower case, its words with _ between."""
     return "_".join(re.findall(r"[a-z0-9]+", text.lower().replace("°", " deg ")))
 

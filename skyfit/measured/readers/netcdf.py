@@ -7,6 +7,7 @@ import numpy as np
 from ..response import Response
 from ..samples import Sky
 from ..units import IRRADIANCE, irradiance_factor, is_nanometre, is_radian, RADIANCE, radiance_factor
+from .flags import flag_variables, flagged, outside
 from .header import Head, quantity_of
 from .screening import Contents, screened
 
@@ -47,8 +48,9 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
 
     **Returns** a `Sky`. `sun_azimuth_instrument`, where finite, stands before `sun_azimuth`.
 
-    **Valid** units W m-2 sr-1 nm-1 in any common spelling; mW, um, cm are converted, with a note; the
-    irradiance of the sun's beam W m-2 nm-1 alike.
+    **Valid** the CF conventions: fill values, packing, valid ranges and flags (`flags`) mask samples, counted by
+    reason; what is not used is named in a note. Units W m-2 sr-1 nm-1 in any common spelling; mW, um, cm are
+    converted, with a note; the irradiance of the sun's beam W m-2 nm-1 alike.
     """
     data = load_dataset(path)
     name = path.name
@@ -65,6 +67,15 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
     suspect = None
     if "suspect" in data:
         suspect = _spread(name, data, "suspect", axes, radiance) != 0.0
+    light = _stored(name, radiance)
+    reasons = {"outside its valid range": outside(name, radiance)}
+    flags = flag_variables(data)
+    for key in flags:
+        about = data[key].attrs
+        if not {"flag_values", "flag_masks"} & about.keys():
+            notes.append(f"`{key}` does not say what its flags mean: 0 is taken as good")
+        for reason, where in flagged(name, key, _spread(name, data, key, axes, radiance), about):
+            reasons[reason] = reasons.get(reason, False) | where
     zenith, known = _angle(name, data, "view_zenith", "direction", radiance)
     azimuth, _ = _angle(name, data, "view_azimuth", "direction", radiance)
     zenith, azimuth = _alike(zenith, azimuth, along=1)
@@ -75,7 +86,7 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
     direct, direct_sigma, converted = _beam(name, data, radiance)
     notes += converted
     head, taken = _head(name, data)
-    used = {*_USED, *taken}
+    used = {*_USED, *taken, *flags}
     unused = {
         "variables": [str(key) for key in data.variables if key not in used],
         "attributes": head.unknown,
@@ -84,9 +95,10 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
     return screened(
         Contents(
             name=name,
-            radiance=_numbers(name, radiance) * factor,
+            radiance=light * factor,
             sigma=sigma,
             suspect=suspect,
+            reasons=reasons,
             direct=direct,
             direct_sigma=direct_sigma,
             view_zenith=zenith,
@@ -179,7 +191,10 @@ def _radiance(name, data, response):
     notes = [] if factor == 1.0 else [f"radiance converted from {units} to {RADIANCE}"]
     if "time" not in radiance.dims:
         radiance = radiance.expand_dims("time")
-    return radiance.transpose(*AXES), factor, notes
+    radiance = radiance.transpose(*AXES)
+    # how it was packed, which a change of axes forgets
+    radiance.encoding = data["radiance"].encoding
+    return radiance, factor, notes
 
 
 def _beam(name, data, radiance):
@@ -209,6 +224,12 @@ def _factor(name, variable, units, wanted=RADIANCE):
 
 
 def _numbers(name, variable):
+    """The numbers of a variable, NaN where they are outside its valid range."""
+    numbers = _stored(name, variable)
+    return np.where(outside(name, variable), np.nan, numbers)
+
+
+def _stored(name, variable):
     if variable.dtype.kind not in "fiub":
         raise ValueError(f"{name}: variable `{variable.name}`: expected numbers, found {variable.dtype}")
     return np.asarray(variable.values, dtype=np.float64)

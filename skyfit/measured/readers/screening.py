@@ -28,7 +28,7 @@ class Contents:
 
     **Arguments** arrays as in `Sky`, angles in degrees; views may be NaN where a time has no samples; `station` holds
     numbers by the names latitude, longitude, altitude_m, pressure_pa, fwhm_nm, ozone_du, sun_distance_au; `made_by`:
-    what made a simulated sky; `suspect` is True where masked;
+    what made a simulated sky; `suspect` is True where masked, as is each of `reasons`;
     `rows`: axis -> the row where each of its values first stands, for errors ("direction": in the shape of the views,
     "sun": of the sun's angles, if not that of "time");
     `angles_known`: the file said radians, so that no small angle is suspicious; `turned`: azimuths are in the
@@ -46,6 +46,7 @@ class Contents:
     sun_azimuth: np.ndarray
     sigma: np.ndarray | None = None
     suspect: np.ndarray | None = None
+    reasons: dict[str, np.ndarray] = field(default_factory=dict)
     direct: np.ndarray | None = None
     direct_sigma: np.ndarray | None = None
     station: dict[str, float] = field(default_factory=dict)
@@ -73,8 +74,10 @@ def screened(found: Contents) -> Sky:
     wavelength, order = _check_wavelengths(found)
     radiance = found.radiance[..., order]
     sigma = None if found.sigma is None else found.sigma[..., order]
-    suspect = None if found.suspect is None else found.suspect[..., order]
-    radiance, usable, masked = screen(radiance, sigma, suspect, zenith, found.saturation, _signed(found.response))
+    reasons = {reason: where[..., order] for reason, where in found.reasons.items()}
+    if found.suspect is not None:
+        reasons["suspect"] = found.suspect[..., order]
+    radiance, usable, masked = screen(radiance, sigma, reasons, zenith, found.saturation, _signed(found.response))
     direct, direct_sigma = _check_beam(found, order)
     sun_zenith, sun_azimuth = _place_sun(found, order)
     found.notes += _small_angles(found, zenith, azimuth, sun_zenith, sun_azimuth)
@@ -135,15 +138,16 @@ def _signed(response):
 def screen(
     radiance: np.ndarray,
     sigma: np.ndarray | None,
-    suspect: np.ndarray | None,
+    stated: dict[str, np.ndarray],
     view_zenith_deg: np.ndarray,
     saturation: float | None = None,
     signed: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, dict[str, int]]:
     """Mask the samples that must not be used, and count them by the first reason that holds.
 
-    **Arguments** arrays [time, direction, wavelength]; `view_zenith_deg` [direction] or [time, direction];
-    `saturation`: the radiance at which the detector saturates, if known; `signed`: less than 0 is no error.
+    **Arguments** arrays [time, direction, wavelength]; `stated`: reasons of the file's own; `view_zenith_deg`
+    [direction] or [time, direction]; `saturation`: the radiance at which the detector saturates, if known; `signed`:
+    less than 0 is no error.
 
     **Returns** radiance with NaN where not finite, `usable`, and the counts.
     """
@@ -157,8 +161,7 @@ def screen(
             "below horizon": below,
             "saturated": _saturated(radiance, saturation),
         }
-        if suspect is not None:
-            reasons["suspect"] = suspect
+        reasons |= stated
         if sigma is not None:
             reasons["sigma not positive"] = ~((sigma > 0.0) & np.isfinite(sigma))
     usable = np.ones(radiance.shape, dtype=bool)
