@@ -1,3 +1,4 @@
+from .masking import mask_sun as mask_sun
 from .noise import NoiseModel as NoiseModel
 from .readers import read as read, read_directions as read_directions, read_response as read_response
 from .response import LineShape as LineShape, Response as Response, Seen as Seen

@@ -1,5 +1,6 @@
 """Measured sky: samples of spectral radiance over time, direction and wavelength, on the host."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -219,14 +220,15 @@ class Sky:
     def with_response(self, response: Response | None) -> "Sky":
         """The sky with its samples as readings of a response: the rule by which `invert` and others take theirs.
 
-        **Arguments** `response`: None for the sky's own, which stands; given to a sky without one, its channels are
+        **Arguments** `response`: None for the sky's own, which stands; given to a sky without one, or whose own is only
+        that of its unit (luminance), its channels are
         put in the order of the sky's wavelengths by their mean wavelengths.
 
         **Valid** another one than the sky's own, another number of channels, or a line shape besides: `ValueError`.
         """
         if response is None:
             return self
-        if self.response is None:
+        if self.response is None or self.response.by_unit:
             if len(response.weight) == len(self.wavelength_nm):
                 response = response.take(np.argsort(response.centre_nm, kind="stable"))
             return replace(self, response=response)
@@ -273,22 +275,18 @@ class Sky:
         times = len(self.time)
         if not -times <= index < times:
             raise ValueError(f"`index` must be in [{-times}, {times}), got {index}")
-        part = slice(index % times, index % times + 1)
-        usable = self.usable[part]
-        return replace(
-            self,
-            radiance=self.radiance[part],
-            sigma=None if self.sigma is None else self.sigma[part],
-            usable=usable,
-            view_zenith=self.view_zenith[part],
-            view_azimuth=self.view_azimuth[part],
-            sun_zenith=self.sun_zenith[part],
-            sun_azimuth=self.sun_azimuth[part],
-            time=self.time[part],
-            direct_irradiance=None if self.direct_irradiance is None else self.direct_irradiance[part],
-            direct_sigma=None if self.direct_sigma is None else self.direct_sigma[part],
-            masked=self.masked if times == 1 else _recount(self.radiance[part], usable, self.view_zenith[part]),
-        )
+        return self.at_times([index % times])
+
+    def at_times(self, indices: Sequence[int] | np.ndarray) -> "Sky":
+        """Some of the times, in the order of `indices`; `masked` as `at` says."""
+        part = np.asarray(indices, int)
+        along = ("radiance", "sigma", "usable", "view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth", "time")
+        along += ("direct_irradiance", "direct_sigma")
+        held = {name: getattr(self, name) for name in along}
+        parts = {name: None if value is None else value[part] for name, value in held.items()}
+        whole = np.array_equal(part, np.arange(len(self.time)))
+        masked = self.masked if whole else _recount(parts["radiance"], parts["usable"], parts["view_zenith"])
+        return replace(self, **parts, masked=masked)
 
     def select(self, wavelength_nm: Float[np.ndarray, " wavelength"]) -> "Sky":
         """The sky at other wavelengths, linearly interpolated between the samples' own.

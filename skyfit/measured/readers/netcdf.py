@@ -9,6 +9,7 @@ from ..samples import Sky
 from ..units import IRRADIANCE, irradiance_factor, is_nanometre, is_radian, RADIANCE, radiance_factor
 from .flags import flag_variables, flagged, outside
 from .header import Head, quantity_of
+from .scale import scale_of
 from .screening import Contents, screened
 
 
@@ -31,7 +32,7 @@ _DESCRIPTIVE_PARTS = ("creator_", "publisher_", "contributor_", "date_", "geospa
 _CANONICAL = ("latitude", "longitude", "altitude_m", "elevation_m", "pressure_pa", "fwhm_nm")
 
 
-def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
+def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) -> Sky:
     """A NetCDF file of sky radiance as a `Sky`.
 
     **Arguments**
@@ -44,7 +45,7 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
       the dimension wavelength, `response` [channel, spectrum], `spectrum` (nm), optionally `channel` (names), and
       `wavelength` [channel], what they are called; `radiance` is then in any unit, that of the response
     - `station`: numbers that stand instead of the file's own, by name; those are attributes, or variables of one value,
-      in the spellings and units that `header` knows
+      in the spellings and units that `header` knows; `own_units`: those of channels, of any name
 
     **Returns** a `Sky`. `sun_azimuth_instrument`, where finite, stands before `sun_azimuth`.
 
@@ -56,12 +57,12 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
     name = path.name
     response, data = _response(name, data)
     _require(name, data)
-    radiance, factor, notes = _radiance(name, data, response)
+    radiance, factor, notes, eye = _radiance(name, data, response, own_units)
     axes = radiance.dims
     shape = radiance.shape
     sigma = None
     if "sigma" in data:
-        units = None if response is not None else data["sigma"].attrs.get("units")
+        units = None if own_units or response is not None or eye is not None else data["sigma"].attrs.get("units")
         sigma = _spread(name, data, "sigma", axes, radiance)
         sigma = sigma * (factor if units is None else _factor(name, "sigma", units))
     suspect = None
@@ -113,7 +114,7 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
             made_by=head.made_by,
             angles_known=known,
             turned=bool(note),
-            response=response,
+            response=eye if response is None else response,
         )
     )
 
@@ -176,7 +177,7 @@ def _response(name, data):
     return response, data.swap_dims(channel="wavelength")
 
 
-def _radiance(name, data, response):
+def _radiance(name, data, response, own_units):
     radiance = data["radiance"]
     extra = [axis for axis in radiance.dims if axis not in AXES]
     if extra or "direction" not in radiance.dims or "wavelength" not in radiance.dims:
@@ -187,14 +188,19 @@ def _radiance(name, data, response):
     if 0 in radiance.shape:
         raise ValueError(f"{name}: variable `radiance`: expected samples, found {radiance.shape}")
     units = radiance.attrs.get("units")
-    factor = 1.0 if response is not None else _factor(name, "radiance", units)
-    notes = [] if factor == 1.0 else [f"radiance converted from {units} to {RADIANCE}"]
+    factor, notes, eye = 1.0, [], None
+    if response is None:
+        told = None if units is None else str(units)
+        try:
+            factor, notes, eye = scale_of(told, radiance.sizes["wavelength"], own_units)
+        except ValueError as error:
+            raise ValueError(f"{name}: variable `radiance`: {error}") from None
     if "time" not in radiance.dims:
         radiance = radiance.expand_dims("time")
     radiance = radiance.transpose(*AXES)
     # how it was packed, which a change of axes forgets
     radiance.encoding = data["radiance"].encoding
-    return radiance, factor, notes
+    return radiance, factor, notes, eye
 
 
 def _beam(name, data, radiance):

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..samples import Sky
-from ..units import RADIANCE, radiance_factor
 from .grid import Axis, by_time, fill, repeated
 from .header import Head, moment_of, quantity_of
+from .scale import scale_of
 from .screening import check_angles, Contents, screened
 
 
@@ -34,7 +34,7 @@ _LARGEST_GRID = 20_000_000
 _EMPTIEST_GRID = 100
 
 
-def read_tidy(path: Path, station: dict[str, float]) -> Sky:
+def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) -> Sky:
     """A tidy CSV of sky radiance as a `Sky`.
 
     **Arguments**
@@ -45,7 +45,7 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
       direct_normal_irradiance_sigma (W m^-2 nm^-1); lines `# key: value` above, or columns of one value, carry
       latitude, longitude, altitude_m, pressure_pa, fwhm_nm, ozone_du, sun_distance_au in the spellings and units that
       `header` knows; lines alone units, saturation, notes, and time where no column does
-    - `station`: numbers that stand instead of the file's own, by name
+    - `station`: numbers that stand instead of the file's own, by name; `own_units`: those of channels, of any name
 
     **Returns** a `Sky`; directions are the union over times, with masked samples where absent, or those of each time
     where that would leave half of the union or more without samples: of an almucantar, which moves with the sun.
@@ -88,7 +88,7 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
             f"{name}: rows {lines[twice[0]]} and {lines[twice[1]]}: expected each time, direction "
             "and wavelength once, found the same sample twice"
         )
-    factor, converted = _units(head)
+    factor, converted, response = _units(head, len(wavelengths), own_units)
     sun, sun_rows = _sun(name, lines, number, index, shape)
     of_file = _of_file(head, lines, texts)
     beam = [_per_band(name, lines, key, number, index, shape) for key in BEAM]
@@ -134,6 +134,7 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
             saturation=None if head.saturation is None else head.saturation * factor,
             notes=notes,
             made_by=head.made_by,
+            response=response,
             rows={axis: rows.tolist() for axis, rows in first.items()},
         )
     )
@@ -342,13 +343,12 @@ def _of_file(head, lines, texts):
     return taken
 
 
-def _units(head):
-    """The factor of the units that a file says its radiances have, and a note where they are converted."""
+def _units(head, channels, own):
+    """The factor of the units that a file says it has, a note where they are converted, and the eye's response."""
     if head.units is None:
-        return 1.0, []
+        return 1.0, [], None
     text, place = head.units
     try:
-        factor = radiance_factor(text)
+        return scale_of(text, channels, own)
     except ValueError as error:
         raise ValueError(f"{head.name}: {place}: {error}") from None
-    return factor, [] if factor == 1.0 else [f"radiance converted from {text} to {RADIANCE}"]

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..readers.netcdf import AXES, BEAM
 from ..samples import Sky
-from ..units import IRRADIANCE, RADIANCE
+from ..units import IRRADIANCE, LUMINANCE, RADIANCE
 
 
 _PLACES = ("view_zenith", "view_azimuth")
@@ -28,8 +28,11 @@ def write_netcdf(sky: Sky, path: Path) -> None:
     views = [degrees(view[0] if sky.one_pattern else view) for view in (sky.view_zenith, sky.view_azimuth)]
     of_views = whole[:2][-views[0].ndim :]
     clockwise = {"units": "degree", "comment": "clockwise from north"}
+    by_unit = sky.response is not None and sky.response.by_unit
     light = (
-        {"units": RADIANCE, "long_name": "spectral radiance"}
+        {"units": LUMINANCE, "long_name": "luminance"}
+        if by_unit
+        else {"units": RADIANCE, "long_name": "spectral radiance"}
         if sky.response is None
         else {"long_name": "reading of the channel, the sum of response times spectral radiance"}
     )
@@ -52,7 +55,7 @@ def write_netcdf(sky: Sky, path: Path) -> None:
         about = {"units": IRRADIANCE, "long_name": f"standard deviation of {BEAM}"}
         variables[f"{BEAM}_sigma"] = (whole[::2], sky.direct_sigma, about)
     dimensions = dict(zip(whole, sky.radiance.shape, strict=True))
-    if sky.response is not None:
+    if sky.response is not None and not by_unit:
         about = {"long_name": f"weights of spectral radiance in {RADIANCE}, widths of the spectrum's steps included"}
         variables["response"] = (("channel", "spectrum"), sky.response.weight, about)
         variables["spectrum"] = (("spectrum",), sky.response.wavelength_nm, {"units": "nm"})
@@ -94,7 +97,7 @@ def _moments(time: np.ndarray) -> tuple[np.ndarray, dict]:
 
 def axes(sky: Sky) -> tuple[str, str, str]:
     """The dimensions of a sky's samples in a file."""
-    return AXES if sky.response is None else (*AXES[:2], "channel")
+    return AXES if sky.response is None or sky.response.by_unit else (*AXES[:2], "channel")
 
 
 def degrees(radians: np.ndarray) -> np.ndarray:
