@@ -193,8 +193,8 @@ def test_one_sky_without_a_time_matches_one_fit_and_several_do_not():
 
 @pytest.mark.parametrize("zenith_deg", [90.0, 90.1, 120.0])
 def test_a_sun_below_the_horizon_is_refused(zenith_deg):
-    sky = as_sky(np.stack([by_hand()] * 2), sun_zenith=np.radians([40.0, zenith_deg]))
-    with pytest.raises(ValueError, match="`sky` has the sun at or below the horizon at time 1"):
+    sky = as_sky(np.stack([by_hand()] * 2), sun_zenith=np.radians([zenith_deg, zenith_deg]))
+    with pytest.raises(ValueError, match="`sky` has the sun at or below the horizon at time 0"):
         skyfit.invert(sky, FREE, SOLVER, measurement=EXACT)
 
 

@@ -55,9 +55,7 @@ def invert_command(
     mask_sun: Annotated[float | None, typer.Option(help="leave out samples within so many degrees of the sun")] = None,
     times: Annotated[
         str | None,
-        typer.Option(
-            help="first..last, both included, each a number from 1 or an ISO time (UTC); either may be left out"
-        ),
+        typer.Option(help="first..last, both included, each a number from 1 or an ISO time (UTC); one may lack"),
     ] = None,
     response: Annotated[str | None, typer.Option(help="samples are channels: xyz, srgb or a CSV of them")] = None,
     latitude: Latitude = None,

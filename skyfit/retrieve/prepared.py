@@ -1,14 +1,14 @@
 """What a retrieval is asked for, checked, and the arrays that it works on."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
 
 from ..atmosphere import from_description
 from ..light.solar import SPECTRUM_NM
-from ..measured import NoiseModel, Response, Sky, station_pressure, STATION_RANGES, sun_factor
+from ..measured import NoiseModel, Response, Sky, station_pressure, STATION_RANGES, sun_factor, time_names
 from ..measured.quality.oddities import examine
 from ..numerics import as_float
 from ..numerics.chain import Point
@@ -166,8 +166,26 @@ def flaws(asked: Prepared) -> list[str]:
     ]  # fmt: skip
 
 
+_WHY = {
+    "sun_below_horizon": "the sun is at or below the horizon",
+    "no_samples": "no usable sample",
+    "too_few_samples": "fewer usable samples than free parameters",
+}
+
+
+def fittable(asked: Prepared) -> Sky | None:
+    """The sky without the times that cannot be fitted, which its notes name; None if it is all of them, or none."""
+    why = flaws(asked)
+    kept = [t for t, flaw in enumerate(why) if not flaw]
+    if not kept or len(kept) == len(why):
+        return None
+    names = time_names(asked.sky)
+    told = [f"{names[t]} not fitted: {_WHY[flaw]}" for t, flaw in enumerate(why) if flaw]
+    return replace(asked.sky.at_times(kept), notes=(*asked.sky.notes, *told))
+
+
 def check(asked: Prepared) -> None:
-    """A `ValueError` if any time cannot be fitted, or if all are no sky; what is odd goes into the notes."""
+    """A `ValueError` if a time cannot be fitted, or if all are no sky; what is odd goes into the notes."""
     for t, flaw in enumerate(flaws(asked)):
         if flaw == "sun_below_horizon":
             raise ValueError(f"`sky` has the sun at or below the horizon at time {t}: it cannot be inverted")
