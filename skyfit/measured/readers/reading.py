@@ -12,6 +12,8 @@ from .tidy import read_tidy
 
 # by suffix; a folder is of ASD text exports
 READERS = {".nc": read_netcdf, ".nc4": read_netcdf, ".cdf": read_netcdf, ".csv": read_tidy}
+# those that take units of channels
+_OF_CHANNELS = (read_netcdf, read_tidy)
 
 
 def read(
@@ -74,6 +76,8 @@ def read(
             raise ValueError(
                 f"{path.name}: `utc_offset` is for a folder of ASD text exports; times in this file are UTC"
             )
-        return seen(reader(path, station, response is not None))
+        # a reader of one's own may know no channels
+        own = {} if response is None or reader not in _OF_CHANNELS else {"own_units": True}
+        return seen(reader(path, station, **own))
     except OSError as error:
         raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error
