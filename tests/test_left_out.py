@@ -123,3 +123,18 @@ def test_times_are_chosen_by_number_or_moment(text, chosen):
 def test_times_that_are_none_are_refused(text, said):
     with pytest.raises(ValueError, match=said):
         times_of(text, as_sky(np.ones((4, 5, 15))))
+
+
+def test_reasons_stay_when_times_are_chosen():
+    sky = as_sky(np.stack([by_hand()] * 3), noise=None)
+    masked = mask_sun(sky, np.radians(25.0))
+    (near,) = masked.masked.values()
+    assert near % 3 == 0 and masked.at_times([0, 2]).masked == {"within 25 degrees of the sun": 2 * near // 3}
+    # what a user masks besides has no reason
+    usable = masked.usable.copy()
+    usable[1, np.flatnonzero(usable[1, :, 0])[0]] = False
+    again = replace(masked, usable=usable).at_times([1, 2])
+    assert again.masked == {"within 25 degrees of the sun": 2 * near // 3, "suspect": 15}
+    assert again.at(0).masked == {"within 25 degrees of the sun": near // 3, "suspect": 15}
+    assert again.at(1).masked == {"within 25 degrees of the sun": near // 3}
+    assert mask_sun(masked, np.radians(25.0)) is masked

@@ -18,6 +18,10 @@ def mask_sun(sky: Sky, angle: float) -> Sky:
     sun = [one if one.ndim == 2 else one[:, None] for one in (sky.sun_zenith, sky.sun_azimuth)]
     cosine = cosine_from_sun(sky.view_zenith[..., None], sky.view_azimuth[..., None], *(one[:, None] for one in sun))
     near = np.broadcast_to(cosine > np.cos(angle), sky.usable.shape) & sky.usable
-    reason = f"within {np.degrees(angle):g} degrees of the sun"
-    counts = {reason: int(near.sum())} if near.any() else {}
-    return replace(sky, usable=sky.usable & ~near, masked=sky.masked | counts)
+    if not near.any():
+        return sky
+    counts = sky.masked | {f"within {np.degrees(angle):g} degrees of the sun": int(near.sum())}
+    known = np.full(sky.usable.shape, -1) if sky.reason is None else sky.reason
+    # without reasons of the others they are counted by their samples
+    reason = np.where(near, len(counts) - 1, known) if sky.reason is not None or not sky.masked else None
+    return replace(sky, usable=sky.usable & ~near, masked=counts, reason=reason)

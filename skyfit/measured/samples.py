@@ -46,7 +46,8 @@ class Sky:
     - `response`: the channels that stand in the place of wavelengths, and `radiance` is what they read; or None
     - `direct_irradiance`, `direct_sigma`: of the sun's beam on a plane normal to it, W m^-2 nm^-1,
       [time, wavelength], NaN where missing; None where it was not measured
-    - `masked`: reason -> count of samples that are not usable for it
+    - `masked`: reason -> count of samples that are not usable for it; `reason`: of each sample the place of its reason
+      among these, -1 for none, by which times are counted apart; None if not known
     - `notes`: what a user of the samples should know
     - `source`: file name
 
@@ -77,6 +78,7 @@ class Sky:
     direct_irradiance: np.ndarray | None = None
     direct_sigma: np.ndarray | None = None
     masked: dict[str, int] = field(default_factory=dict)
+    reason: np.ndarray | None = None
     notes: tuple[str, ...] = ()
     source: str = ""
 
@@ -270,7 +272,7 @@ class Sky:
 
         **Arguments** `index`: which time; negative counts from the end.
 
-        **Returns** a `Sky`; `masked` is counted anew, "suspect" where the samples do not tell.
+        **Returns** a `Sky`; `masked` is counted anew, "suspect" where neither `reason` nor the samples tell.
         """
         times = len(self.time)
         if not -times <= index < times:
@@ -284,9 +286,24 @@ class Sky:
         along += ("direct_irradiance", "direct_sigma")
         held = {name: getattr(self, name) for name in along}
         parts = {name: None if value is None else value[part] for name, value in held.items()}
-        whole = np.array_equal(part, np.arange(len(self.time)))
-        masked = self.masked if whole else _recount(parts["radiance"], parts["usable"], parts["view_zenith"])
-        return replace(self, **parts, masked=masked)
+        usable = self.usable[part]
+        if np.array_equal(part, np.arange(len(self.time))):
+            return self
+        if self.reason is None or self.reason.shape != self.usable.shape:
+            masked = _recount(parts["radiance"], parts["usable"], parts["view_zenith"])
+            return replace(self, **parts, masked=masked, reason=None)
+        # places among the reasons that are left; what was masked since has none
+        own, counts, reason = self.reason[part], {}, np.full(usable.shape, -1)
+        for place, name in enumerate(self.masked):
+            where = ~usable & (own == place)
+            if where.any():
+                reason[where] = len(counts)
+                counts[name] = int(where.sum())
+        since = ~usable & (reason < 0)
+        if since.any():
+            counts["suspect"] = counts.get("suspect", 0) + int(since.sum())
+            reason[since] = list(counts).index("suspect")
+        return replace(self, **parts, masked=counts, reason=reason)
 
     def select(self, wavelength_nm: Float[np.ndarray, " wavelength"]) -> "Sky":
         """The sky at other wavelengths, linearly interpolated between the samples' own.
@@ -335,6 +352,7 @@ class Sky:
             direct_irradiance=None if self.direct_irradiance is None else interpolate(self.direct_irradiance),
             direct_sigma=None if self.direct_sigma is None else interpolate(self.direct_sigma),
             masked=_recount(radiance, usable, self.view_zenith),
+            reason=None,
         )
 
     def _channels(self, response: Response, wanted):
@@ -353,7 +371,7 @@ class Sky:
         if self.sun_zenith.ndim > 1:
             parts |= {"sun_zenith": self.sun_zenith[:, places], "sun_azimuth": self.sun_azimuth[:, places]}
         masked = _recount(parts["radiance"], parts["usable"], self.view_zenith)
-        return replace(self, **parts, response=response.take(places), masked=masked)
+        return replace(self, **parts, response=response.take(places), masked=masked, reason=None)
 
 
 def _recount(radiance, usable, view_zenith):

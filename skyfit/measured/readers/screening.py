@@ -77,7 +77,9 @@ def screened(found: Contents) -> Sky:
     reasons = {reason: where[..., order] for reason, where in found.reasons.items()}
     if found.suspect is not None:
         reasons["suspect"] = found.suspect[..., order]
-    radiance, usable, masked = screen(radiance, sigma, reasons, zenith, found.saturation, _signed(found.response))
+    radiance, usable, masked, reason = screen(
+        radiance, sigma, reasons, zenith, found.saturation, _signed(found.response)
+    )
     direct, direct_sigma = _check_beam(found, order)
     sun_zenith, sun_azimuth = _place_sun(found, order)
     found.notes += _small_angles(found, zenith, azimuth, sun_zenith, sun_azimuth)
@@ -105,6 +107,7 @@ def screened(found: Contents) -> Sky:
             direct_irradiance=direct,
             direct_sigma=direct_sigma,
             masked=masked,
+            reason=reason,
             # A file that skyfit wrote already carries its notes: each is said once.
             notes=tuple(dict.fromkeys(found.notes)),
             source=name,
@@ -142,14 +145,14 @@ def screen(
     view_zenith_deg: np.ndarray,
     saturation: float | None = None,
     signed: bool = False,
-) -> tuple[np.ndarray, np.ndarray, dict[str, int]]:
+) -> tuple[np.ndarray, np.ndarray, dict[str, int], np.ndarray]:
     """Mask the samples that must not be used, and count them by the first reason that holds.
 
     **Arguments** arrays [time, direction, wavelength]; `stated`: reasons of the file's own; `view_zenith_deg`
     [direction] or [time, direction]; `saturation`: the radiance at which the detector saturates, if known; `signed`:
     less than 0 is no error.
 
-    **Returns** radiance with NaN where not finite, `usable`, and the counts.
+    **Returns** radiance with NaN where not finite, `usable`, the counts, and of each sample which of them it is in.
     """
     radiance = np.array(radiance, dtype=np.float64)
     below = np.broadcast_to((view_zenith_deg > 90.0)[..., None], radiance.shape)
@@ -165,14 +168,15 @@ def screen(
         if sigma is not None:
             reasons["sigma not positive"] = ~((sigma > 0.0) & np.isfinite(sigma))
     usable = np.ones(radiance.shape, dtype=bool)
-    masked = {}
+    masked, which = {}, np.full(radiance.shape, -1, np.int8)
     for reason, where in reasons.items():
         count = int(np.count_nonzero(usable & where))
         if count:
+            which[usable & where] = len(masked)
             masked[reason] = count
         usable &= ~where
     radiance[~np.isfinite(radiance) | reasons["missing"]] = np.nan
-    return radiance, usable, masked
+    return radiance, usable, masked, which
 
 
 def _saturated(radiance, saturation):
