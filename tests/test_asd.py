@@ -72,7 +72,10 @@ def test_the_measured_day_and_the_scan_it_came_from():
     assert day.radiance.shape == (8, 81, 471)
     # One direction of eighty-one is marked as shaded.
     assert day.counts() == {"samples": 305208, "usable": 301440, "suspect": 3768}
-    assert day.notes == ("sun azimuth from sun_azimuth_instrument",)
+    assert day.notes == (
+        "sun azimuth from sun_azimuth_instrument",
+        "variables not used: global_horizontal_irradiance",
+    )
     assert (day.altitude_m, day.latitude_deg) == (325.0, PLACE["latitude"])
     scan = read(MEASURED / "2013-05-27___10.00.00", **PLACE, utc_offset=-4, altitude=325)
     assert scan.radiance.shape == (1, 81, 2151)

@@ -81,7 +81,13 @@ def test_simulate_writes_a_sky_that_read_takes(chain):
     assert sky.radiance.shape == (1, 343, 14) and sky.usable.all()
     assert np.degrees(sky.sun_zenith) == pytest.approx([60.0])
     assert np.degrees(sky.sun_azimuth) == pytest.approx([180.0])
-    assert sky.fwhm_nm == 5.0 and sky.altitude_m == 0.0 and np.isnat(sky.time).all()
+    assert sky.fwhm_nm == 5.0 and np.isnat(sky.time).all()
+    # what made it is written with it
+    assert (sky.pressure_pa, sky.ozone_du, sky.sun_distance_au) == (101325.0, 300.0, 1.0) and np.isnan(sky.altitude_m)
+    assert sky.made_by["solver"] == {"name": "SingleScattering", "nodes": 12, "geometry": "flat"}
+    made = skyfit.atmosphere.from_description(sky.made_by["atmosphere"])
+    depth = float(skyfit.turbidity_to_optical_depth(3.0))
+    assert float(made.aerosol.optical_depth) == pytest.approx(depth, rel=1e-6) and sky.notes == ()
     assert "sky.nc" in printed and "343 directions, 14 wavelengths" in printed and narrow(printed)
     assert "model: SingleScattering, flat, scalar (polarisation left out), float64" in printed
 
@@ -121,8 +127,11 @@ def test_fit_json_has_the_keys_of_its_schema(chain):
     assert (record["schema"], record["version"], record["source"]) == ("skyfit.fit", 3, "sky.nc")
     assert record["solver"] == {"name": "SingleScattering", "nodes": 12, "geometry": "flat"}
     assert record["geometry"] == "flat" and record["instrument"] == {"fwhm_nm": 5.0, "response": None}
-    assert set(record["station"]) == {"latitude_deg", "longitude_deg", "altitude_m", "pressure_pa"}
-    assert record["station"]["altitude_m"] == 0.0 and record["station"]["latitude_deg"] is None
+    assert record["station"] == {
+        "latitude_deg": None, "longitude_deg": None, "altitude_m": None, "pressure_pa": 101325.0, "ozone_du": 300.0,
+        "sun_distance_au": 1.0,
+    }  # fmt: skip
+    assert not any("assumed" in note or "date" in note or "unlike" in note for note in record["notes"])
     assert record["free"] == ["turbidity", "angstrom_exponent"]
     assert record["shared"] == {"parameters": {}, "correlation": []}
     assert all(set(entry) == {"value", "unit"} for entry in record["fixed"].values())
@@ -187,6 +196,28 @@ def test_directions_of_a_file_simulated_to_csv_and_predicted_there(chain, skyfit
     np.testing.assert_array_equal(few.wavelength_nm, [450.0, 550.0])
     skyfit_command("predict", "fit/fit.json", "--at", "few.csv", "--out", "there.nc", cwd=folder)
     np.testing.assert_allclose(skyfit.read(folder / "there.nc").radiance, few.radiance, rtol=2e-3)
+
+
+def test_a_sky_of_a_mountain_at_a_time_comes_back(skyfit_command, tmp_path):
+    """Pressure, ozone and the day's distance of the sun go through the file."""
+    settings = ("--solver", "single", "--geometry", "flat", "--preset", "draft")
+    skyfit_command(
+        "simulate", "--time", "2020-07-04T17:00:00Z", "--at", "40,-105.5", "--aerosol-optical-depth", 0.05,
+        "--pressure", 62000, "--ozone", 350, "--wavelengths", "440:680:40", "--out", "mk.csv",
+        *settings, cwd=tmp_path,
+    )  # fmt: skip
+    sky = skyfit.read(tmp_path / "mk.csv")
+    assert sky.time == [np.datetime64("2020-07-04T17:00")] and (sky.latitude_deg, sky.longitude_deg) == (40.0, -105.5)
+    place = skyfit.measured.solar_position(sky.time, 40.0, -105.5, pressure=62000.0)
+    np.testing.assert_allclose([sky.sun_zenith, sky.sun_azimuth], place, rtol=1e-9)
+    assert np.isnan(sky.sun_distance_au)
+    free = ("aerosol_optical_depth", "single_scattering_albedo")
+    skyfit_command("invert", "mk.csv", "--free", ",".join(free), *settings, "--out", "fit", cwd=tmp_path)
+    record = json.loads((tmp_path / "fit" / "fit.json").read_text())
+    found = [record["times"][0]["parameters"][name]["value"] for name in free]
+    assert found == pytest.approx([0.05, 0.95], rel=5e-3)
+    assert record["fixed"]["pressure"]["value"] == 62000.0 and record["fixed"]["ozone"]["value"] == 350.0
+    assert not any("date" in note or "assumed" in note or "unlike" in note for note in record["notes"])
 
 
 def two_skies(path):
@@ -491,6 +522,18 @@ BROKEN = {
         ("simulate", "--sun-zenith", "95", "--turbidity", "3", "--out", "new.nc"),
         ["--sun-zenith", "95"],
     ),
+    "no sun": (("simulate", "--turbidity", "3", "--out", "new.nc"), ["--sun-zenith", "--time", "--at"]),
+    "sun twice": ((*SIMULATE, "--turbidity", "3", "--time", "2020-07-04", "--at", "40,9"), ["--at", "--sun-zenith"]),
+    "place without time": (("simulate", "--turbidity", "3", "--at", "40,9", "--out", "new.nc"), ["--at", "--time"]),
+    "time that is none": ((*SIMULATE, "--turbidity", "3", "--time", "noon"), ["--time", "ISO", "'noon'"]),
+    "place that is none": (
+        ("simulate", "--turbidity", "3", "--time", "2020-07-04T17:00", "--at", "Bonn", "--out", "new.nc"),
+        ["--at", "LAT,LON", "'Bonn'"],
+    ),
+    "place at night": (
+        ("simulate", "--turbidity", "3", "--time", "2020-07-04T00:00", "--at", "51,7", "--out", "new.nc"),
+        ["--time and --at", "sun zenith", "between 0 and 90"],
+    ),
     "wavelengths that are none": (
         (*SIMULATE, "--turbidity", "3", "--wavelengths", "blue"),
         ["--wavelengths", "'blue'"],
@@ -653,7 +696,7 @@ def test_a_time_that_was_not_fitted_cannot_be_predicted(folder, skyfit_command):
     assert "2025-06-01T12:00:00" in line and "was not fitted" in line and "2025-06-01T11:00:00" in line
 
 
-@pytest.mark.parametrize("arguments", [("nonsense",), ("simulate", "--out", "new.nc")])
+@pytest.mark.parametrize("arguments", [("nonsense",), ("simulate", "--turbidity", "3")])
 def test_a_call_that_typer_refuses_ends_with_2_as_well(skyfit_command, tmp_path, arguments):
     done = skyfit_command(*arguments, cwd=tmp_path, check=False)
     assert done.returncode == 2 and done.stdout == "" and "Error" in done.stderr

@@ -57,7 +57,8 @@ def test_the_record_has_the_documented_keys(record, fit):
     assert record["geometry"] == "flat"
     assert record["instrument"] == {"fwhm_nm": 6.0, "response": None}
     assert record["station"] == {
-        "latitude_deg": None, "longitude_deg": None, "altitude_m": 300.0, "pressure_pa": None
+        "latitude_deg": None, "longitude_deg": None, "altitude_m": 300.0, "pressure_pa": None,
+        "ozone_du": None, "sun_distance_au": None,
     }  # fmt: skip
     assert list(record["atmosphere"]["constituents"]) == ["rayleigh", "aerosol", "ozone"]
     assert record["atmosphere"]["constituents"]["aerosol"]["phase"]["kind"] == "HenyeyGreenstein"

@@ -86,7 +86,7 @@ def agree(fit, expected, covariance):
 def factor(sky):
     """The sun's distance of the day, as the fit has it."""
     from skyfit.light import earth_sun_factor
-    from skyfit.measured.samples import day_of_year
+    from skyfit.measured.station import day_of_year
 
     return float(earth_sun_factor(day_of_year(sky.time[0])))
 

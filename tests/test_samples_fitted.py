@@ -8,9 +8,11 @@ import pytest
 from made_skies import as_sky, by_hand, EXACT, FREE, HAZE, PLAIN, SOLVER
 
 import skyfit
-from skyfit.measured import station_pressure, time_names
-from skyfit.measured.samples import day_of_year
-from skyfit.retrieve import Fitted, start_model
+from skyfit.atmosphere import describe
+from skyfit.measured import station_pressure, sun_factor, time_names
+from skyfit.measured.station import day_of_year
+from skyfit.retrieve import Fitted, start_at, start_model
+from skyfit.retrieve.prepared import prepared
 
 
 pytestmark = pytest.mark.usefixtures("haste")
@@ -59,6 +61,24 @@ def test_without_a_time_the_sun_is_at_its_mean_distance(x64):
     fit = skyfit.invert(sky, FREE, SOLVER, measurement=EXACT)
     np.testing.assert_allclose(fit.values[0], list(HAZE.values()), rtol=1e-4)
     assert time_names(sky) == ("time 0",)
+    (said,) = [note for note in fit.notes if "date" in note]
+    assert "1 au" in said and "3.4 %" in said and "single-scattering albedo" in said
+
+
+@pytest.mark.parametrize(
+    ("about", "factor", "said"),
+    [
+        ({"time": ["2025-01-03", "2025-07-04"]}, [1.035, 0.9666], ""),
+        ({"time": ["2025-01-03", "NaT"]}, [1.035, 1.0], "no date at 1 of 2 times"),
+        ({"time": ["NaT", "NaT"]}, [1.0, 1.0], "no date in the file"),
+        ({"time": ["2025-01-03", "NaT"], "sun_distance_au": 1.01}, [0.9803, 0.9803], ""),
+    ],
+)
+def test_how_far_the_sun_is_told_to_be(about, factor, said):
+    about["time"] = np.array(about["time"], "datetime64[ns]")
+    found, note = sun_factor(as_sky(np.ones((2, 5, 15)), **about))
+    np.testing.assert_allclose(found, factor, atol=5e-4)
+    assert note.startswith(said) and bool(note) == bool(said)
 
 
 def test_a_pressure_that_nobody_told_is_assumed_and_said():
@@ -66,6 +86,48 @@ def test_a_pressure_that_nobody_told_is_assumed_and_said():
     assert station_pressure(sky)[0] == 101325.0
     assert any("sea level" in note for note in skyfit.invert(sky, FREE, SOLVER, measurement=EXACT).notes)
     assert station_pressure(replace(sky, pressure_pa=7e4, altitude_m=0.0)) == (7e4, "")
+
+
+@pytest.mark.parametrize(
+    ("altitude", "said"),
+    [
+        (np.nan, "no pressure or altitude"),
+        (0.0, "altitude 0 m and no pressure"),
+        (2000.0, "from the altitude of 2000 m"),
+    ],
+)
+def test_a_pressure_by_altitude_is_said_unless_the_user_tells_it(altitude, said):
+    sky = as_sky(by_hand(), pressure_pa=np.nan, altitude_m=altitude)
+    pressure, sentence = station_pressure(sky)
+    assert said in sentence and "0.001 of optical depth" in sentence
+    assert sentence in prepared(sky, FREE, SOLVER).sampling.notes
+    told = start_model(FREE, 0.9 * pressure)
+    assert sentence not in prepared(sky, FREE, SOLVER, told).sampling.notes
+    assert sentence not in prepared(sky, (*FREE, "pressure"), SOLVER).sampling.notes
+
+
+def test_the_ozone_of_a_station_is_that_of_the_start():
+    assert start_at(as_sky(by_hand(), ozone_du=350.0), FREE).atmosphere.ozone.column == 350.0
+    assert start_at(as_sky(by_hand()), FREE).atmosphere.ozone.column == 300.0
+    # a free one begins within its range
+    assert 50.0 < start_at(as_sky(by_hand(), ozone_du=0.0), ("ozone",)).atmosphere.ozone.column < 60.0
+
+
+def test_what_is_held_unlike_the_maker_of_a_sky_is_said():
+    made = {"atmosphere": describe(skyfit.Atmosphere(ground=skyfit.Ground(0.3)))}
+    notes = prepared(as_sky(by_hand(), made_by=made), FREE, SOLVER).sampling.notes
+    assert "held fixed unlike what made this sky: ground_albedo 0.1 for 0.3" in notes
+    wrong = {"atmosphere": {"ground": {"albedo": "white"}}}
+    with pytest.raises(ValueError, match=r"`made_by\.atmosphere\.ground\.albedo`: expected a number"):
+        prepared(as_sky(by_hand(), made_by=wrong), FREE, SOLVER)
+
+
+def test_the_faulty_file_of_a_mountain_is_noted(shared):
+    path = shared / "faults" / "mk.csv"
+    if not path.is_file():
+        pytest.skip("the faulty files are absent")
+    notes = prepared(skyfit.read(path), FREE, SOLVER).sampling.notes
+    assert any("altitude 0 m and no pressure in the file: 1013 hPa of sea level assumed" in note for note in notes)
 
 
 @pytest.mark.parametrize(
@@ -131,8 +193,8 @@ def test_one_sky_without_a_time_matches_one_fit_and_several_do_not():
 
 @pytest.mark.parametrize("zenith_deg", [90.0, 90.1, 120.0])
 def test_a_sun_below_the_horizon_is_refused(zenith_deg):
-    sky = as_sky(np.stack([by_hand()] * 2), sun_zenith=np.radians([40.0, zenith_deg]))
-    with pytest.raises(ValueError, match="`sky` has the sun at or below the horizon at time 1"):
+    sky = as_sky(np.stack([by_hand()] * 2), sun_zenith=np.radians([zenith_deg, zenith_deg]))
+    with pytest.raises(ValueError, match="`sky` has the sun at or below the horizon at time 0"):
         skyfit.invert(sky, FREE, SOLVER, measurement=EXACT)
 
 

@@ -3,8 +3,11 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..measured import read_response, Response, Sky, station_pressure
-from ..retrieve import check_free, PARAMETERS, PARTICLE_FREE, SkyModel, SLOW, start_model, with_values
+import numpy as np
+
+from ..measured import read_response, Response, Sky
+from ..measured.readers.header import moment_of
+from ..retrieve import check_free, PARAMETERS, PARTICLE_FREE, SkyModel, SLOW, start_at, with_values
 from .options import in_range
 
 
@@ -16,7 +19,7 @@ def names_in(text: str) -> tuple[str, ...]:
 
 def start_of(free: tuple[str, ...], fix: Sequence[str], sky: Sky) -> SkyModel:
     """The first guess, with the values that the user knows."""
-    start = start_model(free, station_pressure(sky)[0])
+    start = start_at(sky, free)
     check_free(free, start)
     known = {name: _value("--fix", name, text) for name, text in _by_name("--fix", "name=value", fix).items()}
     for name in known:
@@ -64,6 +67,46 @@ def response_of(text: str | None) -> Response | None:
     if text is None:
         return None
     return {"xyz": Response.xyz, "srgb": Response.linear_srgb}.get(text, lambda: read_response(Path(text)))()
+
+
+def times_of(text: str, sky: Sky) -> np.ndarray:
+    """Indices of the times from a first to a last one, each a number from 1 or an ISO time; one alone is both."""
+    first, dots, last = (part.strip() for part in text.partition(".."))
+    last = last if dots else first
+    number, chosen = np.arange(1, len(sky.time) + 1), np.full(len(sky.time), True)
+    for end, low in ((first, True), (last, False)):
+        if not end:
+            continue
+        if end.isdigit():
+            axis, limit = number, int(end)
+        else:
+            axis, limit = sky.time, _moment(text, end)
+            # a day, or a minute, is whole
+            limit = limit if low else limit + _span(end)
+        chosen &= (axis >= limit) if low else (axis <= limit)
+    if not chosen.any():
+        known = f"{len(sky.time)} times" + ("" if np.isnat(sky.time).all() else f", {' to '.join(_ends(sky))}")
+        raise ValueError(f"`--times` must hold one of the file's {known}, got {text!r}")
+    return np.flatnonzero(chosen)
+
+
+def _ends(sky: Sky) -> tuple[str, str]:
+    known = np.sort(sky.time[~np.isnat(sky.time)]).astype("datetime64[s]")
+    return f"{known[0]}Z", f"{known[-1]}Z"
+
+
+def _moment(text: str, end: str) -> np.datetime64:
+    try:
+        return moment_of(end)
+    except ValueError:
+        form = "first..last, each a number from 1 or an ISO time such as 2013-05-27T14:00Z"
+        raise ValueError(f"`--times` must be {form}, got {text!r}") from None
+
+
+def _span(end: str) -> np.timedelta64:
+    """What a time of fewer digits holds after its beginning: of a day all of it, of a second that second."""
+    unit = "D" if len(end) <= 10 else "m" if end.count(":") == 1 and "+" not in end else "s"
+    return np.timedelta64(1, unit).astype("timedelta64[ns]") - np.timedelta64(1, "ns")
 
 
 def _by_name(option: str, form: str, texts: Sequence[str]) -> dict[str, str]:

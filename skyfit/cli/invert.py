@@ -52,6 +52,11 @@ def invert_command(
     loss: Annotated[LossName, typer.Option(help="of residuals beyond the threshold")] = LossName.huber,
     threshold: Annotated[float, typer.Option(help="of the loss, in sigma")] = THRESHOLD,
     starts: Annotated[int, typer.Option(help="of the search, random ones but for the first")] = 1,
+    mask_sun: Annotated[float | None, typer.Option(help="leave out samples within so many degrees of the sun")] = None,
+    times: Annotated[
+        str | None,
+        typer.Option(help="first..last, both included, each a number from 1 or an ISO time (UTC); one may lack"),
+    ] = None,
     response: Annotated[str | None, typer.Option(help="samples are channels: xyz, srgb or a CSV of them")] = None,
     latitude: Latitude = None,
     longitude: Longitude = None,
@@ -72,10 +77,10 @@ def invert_command(
     from math import radians
 
     from ..draw import plot
-    from ..measured import NoiseModel
+    from ..measured import mask_sun as without_sun, NoiseModel
     from ..records import save
     from ..retrieve import invert
-    from .asked import names_in, priors_of, response_of, shared_of, smooth_of, start_of
+    from .asked import names_in, priors_of, response_of, shared_of, smooth_of, start_of, times_of
     from .fit_report import print_fit
     from .models import make_solver
     from .printing import console, progress
@@ -85,7 +90,11 @@ def invert_command(
     measurement = NoiseModel(relative, floor, calibration, model_error, view, loss.value, threshold)
     in_range("--starts", float(starts), 1.0, _MOST_STARTS)
     priors, channels = priors_of(prior or []), response_of(response)
-    measured = _read(sky, latitude, longitude, utc_offset, altitude, fwhm)
+    measured = _read(sky, latitude, longitude, utc_offset, altitude, fwhm, channels)
+    if times is not None:
+        measured = measured.at_times(times_of(times, measured))
+    if mask_sun is not None:
+        measured = without_sun(measured, radians(in_range("--mask-sun", mask_sun, 0.0, 180.0)))
     start = start_of(names, fix or [], measured)
     common = shared_of(names, shared, independent, tuple(smoothed), len(measured.time))
     spectral = channels is None and measured.response is None
@@ -131,7 +140,10 @@ def predict_command(
     console.print(f"{out}: {' x '.join(map(str, radiance.shape))} (time, direction, wavelength)", highlight=False)
 
 
-def _read(path: Path, latitude, longitude, utc_offset, altitude, fwhm):
+def _read(path: Path, latitude, longitude, utc_offset, altitude, fwhm, response=None):
     from ..measured import read
 
-    return read(path, latitude=latitude, longitude=longitude, utc_offset=utc_offset, altitude=altitude, fwhm_nm=fwhm)
+    return read(
+        path, latitude=latitude, longitude=longitude, utc_offset=utc_offset, altitude=altitude, fwhm_nm=fwhm,
+        response=response,
+    )  # fmt: skip

@@ -1,6 +1,7 @@
 """Solvers, atmospheres and spectra from the words of options."""
 
 from collections.abc import Callable
+from dataclasses import fields
 
 import jax.numpy as jnp
 import numpy as np
@@ -64,6 +65,11 @@ def in_words(solver: AbstractSolver) -> str:
         return f"{name}, {solver.geometry}, scalar (polarisation left out)"
     kind = "polarised" if solver.polarised else "scalar (polarisation left out)"
     return f"{name}, {solver.geometry}, {solver.streams} streams, {kind}"
+
+
+def settings_of(solver: AbstractSolver) -> dict:
+    """The name and all settings of a solver, as a file holds them."""
+    return {"name": type(solver).__name__} | {field.name: getattr(solver, field.name) for field in fields(solver)}
 
 
 def precision() -> str:

@@ -36,8 +36,14 @@ _OF_SIMULATIONS = (
 def simulate(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="file to write, .nc or .csv")],
-    sun_zenith: Annotated[float, typer.Option(help="degrees")],
-    sun_azimuth: Annotated[float, typer.Option(help="degrees clockwise from north")] = 180.0,
+    sun_zenith: Annotated[float | None, typer.Option(help="degrees; or --time and --at")] = None,
+    sun_azimuth: Annotated[
+        float | None, typer.Option(help="degrees clockwise from north  [default: 180]", show_default=False)
+    ] = None,
+    time: Annotated[
+        str | None, typer.Option(help="ISO, UTC: how far the sun is, and with --at where it stands")
+    ] = None,
+    at: Annotated[str | None, typer.Option(help="LAT,LON in degrees, north and east positive")] = None,
     turbidity: Annotated[float | None, typer.Option(help="Preetham's, at 550 nm (>= 1)")] = None,
     aerosol_optical_depth: Annotated[float | None, typer.Option(help="at 550 nm, instead")] = None,
     meteorological_range: Annotated[float | None, typer.Option(help="visibility in km, instead")] = None,
@@ -69,18 +75,22 @@ def simulate(
     import jax
     import numpy as np
 
-    from ..atmosphere import HenyeyGreenstein, turbidity_to_optical_depth
-    from ..measured import read_directions, Sky, write_sky
+    from ..atmosphere import describe, HenyeyGreenstein, turbidity_to_optical_depth
+    from ..measured import read_directions, Sky, STATION_RANGES, write_sky
+    from ..measured.station import day_of_year
+    from ..measured.writing import skyfit_version
     from ..scene import Directions, hemisphere, Scene
     from ..transport import low_sun, LowSunWarning
-    from .models import in_words, make_atmosphere, make_solver, precision, turbidity_of, wavelengths_of
+    from .models import in_words, make_atmosphere, make_solver, precision, settings_of, turbidity_of, wavelengths_of
     from .printing import console, notices, progress
     from .programs import kept_radiance
+    from .sun import sun_of
 
     haze = turbidity_of(turbidity, aerosol_optical_depth, meteorological_range, haze_height)
     analytic, lowest = (None, 90.0) if coefficients is None else _analytic_sky(context, coefficients)
     chosen = make_solver(solver, preset, geometry, solver == "orders" if polarised is None else polarised)
-    in_range("--sun-zenith", sun_zenith, 0.0, min(lowest, chosen.suns.largest_deg) if analytic is None else lowest)
+    lowest = min(lowest, chosen.suns.largest_deg) if analytic is None else lowest
+    zenith, azimuth, about = sun_of(sun_zenith, sun_azimuth, time, at, pressure, lowest)
     if out.suffix not in (".nc", ".csv") or not out.absolute().parent.is_dir():
         raise ValueError(f"`--out` must be a .nc or .csv file in a folder that is there, got {out}")
     phase = HenyeyGreenstein(in_range("--asymmetry", asymmetry, -0.98, 0.98))
@@ -90,7 +100,9 @@ def simulate(
     view = hemisphere(343) if directions is None else Directions(*read_directions(directions))
     spectrum = wavelengths_of(wavelengths)
     irradiance = "astm_g173" if analytic is None else "unit"
-    scene = Scene.from_degrees(sun_zenith, view, spectrum, sun_azimuth, fwhm_nm=fwhm, irradiance=irradiance)
+    # the sun of an analytic sky is in its coefficients
+    day = None if time is None or analytic is not None else day_of_year(about["time"][0])
+    scene = Scene.from_degrees(zenith, view, spectrum, azimuth, day, fwhm_nm=fwhm, irradiance=irradiance)
     with progress("simulating"):
         if analytic is None:
             folder = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
@@ -102,16 +114,22 @@ def simulate(
             if said is not None:
                 notices.print(f"note: {said}", highlight=False, markup=False, soft_wrap=True)
             radiance, model = np.asarray(kept, float), in_words(chosen)
+            made_by = {"solver": settings_of(chosen), "atmosphere": describe(atmosphere)}
         else:
             radiance, model = np.asarray(analytic.radiance(haze, scene), float), type(analytic).__name__
+            made_by = {"coefficients": coefficients, "turbidity": haze}
             if not analytic.valid(haze, scene.sun_zenith):
                 notices.print("these coefficients extrapolate here", highlight=False)
+    about |= {"made_by": {"skyfit_version": skyfit_version(), "model": model, "precision": precision()} | made_by}
+    low, high, _ = STATION_RANGES["pressure_pa"]
+    if analytic is None:
+        # air that no station has is told by what made the sky alone
+        about |= {"ozone_du": ozone, "pressure_pa": pressure if low <= pressure <= high else np.nan}
     sky = Sky(
         radiance=radiance[None], sigma=None, usable=np.isfinite(radiance[None]),
         view_zenith=np.asarray(view.zenith), view_azimuth=np.asarray(view.azimuth), wavelength_nm=spectrum,
-        sun_zenith=np.radians([sun_zenith]), sun_azimuth=np.radians([sun_azimuth]),
-        time=np.array(["NaT"], "datetime64[ns]"), fwhm_nm=np.nan if fwhm is None else fwhm, altitude_m=0.0,
-        source=out.name,
+        sun_zenith=np.radians([zenith]), sun_azimuth=np.radians([azimuth]), fwhm_nm=np.nan if fwhm is None else fwhm,
+        sun_distance_au=1.0 if day is None else np.nan, source=out.name, **about,
     )  # fmt: skip
     write_sky(sky, out)
     console.print(f"{out}: {radiance.shape[0]} directions, {radiance.shape[1]} wavelengths", highlight=False)

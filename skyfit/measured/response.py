@@ -37,12 +37,14 @@ class Response:
     `wavelength_nm` `[spectrum]`, increasing and fine enough for a sum over them; `weight` `[channel, spectrum]`:
     a channel's value is the sum of weight times spectral radiance (so that a width of band is in the weight);
     `names` of the channels, by default their mean wavelengths. A sky that has this as its `response` has an axis of
-    these channels in this order in place of wavelengths.
+    these channels in this order in place of wavelengths. `by_unit`: taken from the unit of the readings alone, so
+    that one which tells more of the instrument may stand in its place (`Sky.with_response`).
     """
 
     wavelength_nm: np.ndarray
     weight: np.ndarray
     names: tuple[str, ...] = ()
+    by_unit: bool = False
 
     def __post_init__(self):
         wavelength = np.atleast_1d(np.asarray(self.wavelength_nm, float))
@@ -80,7 +82,7 @@ class Response:
     def take(self, channels: Sequence[int] | np.ndarray) -> "Response":
         """Some of the channels, in an order of one's own."""
         names = tuple(self.names[channel] for channel in channels)
-        return Response(self.wavelength_nm, self.weight[np.asarray(channels, int)], names)
+        return Response(self.wavelength_nm, self.weight[np.asarray(channels, int)], names, self.by_unit)
 
     def same_as(self, other: "Response | None") -> bool:
         """Whether another one makes the same of a spectrum, whatever its channels' names."""
@@ -93,6 +95,12 @@ class Response:
         """CIE 1931 X, Y, Z in cd m^-2; x, y, Y give X = x Y / y, Z = (1 - x - y) Y / y."""
         wavelength = np.arange(380.0, 781.0, 10.0)
         return cls(wavelength, np.asarray(observer_weights(wavelength), float).T, ("X", "Y", "Z"))
+
+    @classmethod
+    def eye(cls) -> "Response":
+        """Luminance Y in cd m^-2: 683 lm/W times the CIE 1931 observer's y, all that its unit tells."""
+        eye = cls.xyz().take([1])
+        return cls(eye.wavelength_nm, eye.weight, eye.names, by_unit=True)
 
     @classmethod
     def linear_srgb(cls) -> "Response":

@@ -1,11 +1,11 @@
 """Measured sky: samples of spectral radiance over time, direction and wavelength, on the host."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
 
-from ..atmosphere import pressure_at_altitude, SEA_LEVEL_PRESSURE
 from .response import LineShape, Response, Seen
 
 
@@ -17,6 +17,8 @@ STATION_RANGES = {
     "altitude_m": (-500.0, 11e3, "m"),
     "pressure_pa": (2e3, 120e3, "Pa"),
     "fwhm_nm": (1e-3, 1000.0, "nm"),
+    "ozone_du": (0.0, 1000.0, "Dobson units"),
+    "sun_distance_au": (0.98, 1.02, "au"),
 }
 # An azimuth may be unwrapped by a turn or two; past seven half turns it must be in degrees.
 _LARGEST_AZIMUTH = 7.0 * np.pi
@@ -38,11 +40,14 @@ class Sky:
       moved between the wavelengths (a filter wheel takes its time); `sun_at` gives the mean
     - `time`: datetime64, UTC, [time]; NaT where unknown
     - `latitude_deg`, `longitude_deg`, `altitude_m`, `pressure_pa`: the station, NaN if unknown
+    - `ozone_du`: the column of ozone over it; `sun_distance_au`: from the Earth, used before the date's; NaN if unknown
+    - `made_by`: what made a simulated sky, in names and numbers as JSON holds them; empty for a measured one
     - `fwhm_nm`: full width at half maximum of the instrument's Gaussian line shape, nm, or NaN
     - `response`: the channels that stand in the place of wavelengths, and `radiance` is what they read; or None
     - `direct_irradiance`, `direct_sigma`: of the sun's beam on a plane normal to it, W m^-2 nm^-1,
       [time, wavelength], NaN where missing; None where it was not measured
-    - `masked`: reason -> count of samples that are not usable for it
+    - `masked`: reason -> count of samples that are not usable for it; `reason`: of each sample the place of its reason
+      among these, -1 for none, by which times are counted apart; None if not known
     - `notes`: what a user of the samples should know
     - `source`: file name
 
@@ -66,10 +71,14 @@ class Sky:
     altitude_m: float = float("nan")
     pressure_pa: float = float("nan")
     fwhm_nm: float = float("nan")
+    ozone_du: float = float("nan")
+    sun_distance_au: float = float("nan")
+    made_by: dict = field(default_factory=dict)
     response: Response | None = None
     direct_irradiance: np.ndarray | None = None
     direct_sigma: np.ndarray | None = None
     masked: dict[str, int] = field(default_factory=dict)
+    reason: np.ndarray | None = None
     notes: tuple[str, ...] = ()
     source: str = ""
 
@@ -213,14 +222,15 @@ class Sky:
     def with_response(self, response: Response | None) -> "Sky":
         """The sky with its samples as readings of a response: the rule by which `invert` and others take theirs.
 
-        **Arguments** `response`: None for the sky's own, which stands; given to a sky without one, its channels are
+        **Arguments** `response`: None for the sky's own, which stands; given to a sky without one, or whose own is only
+        that of its unit (luminance), its channels are
         put in the order of the sky's wavelengths by their mean wavelengths.
 
         **Valid** another one than the sky's own, another number of channels, or a line shape besides: `ValueError`.
         """
         if response is None:
             return self
-        if self.response is None:
+        if self.response is None or self.response.by_unit:
             if len(response.weight) == len(self.wavelength_nm):
                 response = response.take(np.argsort(response.centre_nm, kind="stable"))
             return replace(self, response=response)
@@ -262,27 +272,38 @@ class Sky:
 
         **Arguments** `index`: which time; negative counts from the end.
 
-        **Returns** a `Sky`; `masked` is counted anew, "suspect" where the samples do not tell.
+        **Returns** a `Sky`; `masked` is counted anew, "suspect" where neither `reason` nor the samples tell.
         """
         times = len(self.time)
         if not -times <= index < times:
             raise ValueError(f"`index` must be in [{-times}, {times}), got {index}")
-        part = slice(index % times, index % times + 1)
+        return self.at_times([index % times])
+
+    def at_times(self, indices: Sequence[int] | np.ndarray) -> "Sky":
+        """Some of the times, in the order of `indices`; `masked` as `at` says."""
+        part = np.asarray(indices, int)
+        along = ("radiance", "sigma", "usable", "view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth", "time")
+        along += ("direct_irradiance", "direct_sigma")
+        held = {name: getattr(self, name) for name in along}
+        parts = {name: None if value is None else value[part] for name, value in held.items()}
         usable = self.usable[part]
-        return replace(
-            self,
-            radiance=self.radiance[part],
-            sigma=None if self.sigma is None else self.sigma[part],
-            usable=usable,
-            view_zenith=self.view_zenith[part],
-            view_azimuth=self.view_azimuth[part],
-            sun_zenith=self.sun_zenith[part],
-            sun_azimuth=self.sun_azimuth[part],
-            time=self.time[part],
-            direct_irradiance=None if self.direct_irradiance is None else self.direct_irradiance[part],
-            direct_sigma=None if self.direct_sigma is None else self.direct_sigma[part],
-            masked=self.masked if times == 1 else _recount(self.radiance[part], usable, self.view_zenith[part]),
-        )
+        if np.array_equal(part, np.arange(len(self.time))):
+            return self
+        if self.reason is None or self.reason.shape != self.usable.shape:
+            masked = _recount(parts["radiance"], parts["usable"], parts["view_zenith"])
+            return replace(self, **parts, masked=masked, reason=None)
+        # places among the reasons that are left; what was masked since has none
+        own, counts, reason = self.reason[part], {}, np.full(usable.shape, -1)
+        for place, name in enumerate(self.masked):
+            where = ~usable & (own == place)
+            if where.any():
+                reason[where] = len(counts)
+                counts[name] = int(where.sum())
+        since = ~usable & (reason < 0)
+        if since.any():
+            counts["suspect"] = counts.get("suspect", 0) + int(since.sum())
+            reason[since] = list(counts).index("suspect")
+        return replace(self, **parts, masked=counts, reason=reason)
 
     def select(self, wavelength_nm: Float[np.ndarray, " wavelength"]) -> "Sky":
         """The sky at other wavelengths, linearly interpolated between the samples' own.
@@ -331,6 +352,7 @@ class Sky:
             direct_irradiance=None if self.direct_irradiance is None else interpolate(self.direct_irradiance),
             direct_sigma=None if self.direct_sigma is None else interpolate(self.direct_sigma),
             masked=_recount(radiance, usable, self.view_zenith),
+            reason=None,
         )
 
     def _channels(self, response: Response, wanted):
@@ -349,7 +371,7 @@ class Sky:
         if self.sun_zenith.ndim > 1:
             parts |= {"sun_zenith": self.sun_zenith[:, places], "sun_azimuth": self.sun_azimuth[:, places]}
         masked = _recount(parts["radiance"], parts["usable"], self.view_zenith)
-        return replace(self, **parts, response=response.take(places), masked=masked)
+        return replace(self, **parts, response=response.take(places), masked=masked, reason=None)
 
 
 def _recount(radiance, usable, view_zenith):
@@ -376,20 +398,6 @@ def _extremes(values):
     if not np.all(np.isfinite(values)):
         return "values that are not finite"
     return f"{values.min():g} to {values.max():g}"
-
-
-def day_of_year(time: np.datetime64) -> int:
-    """The day of the year, 1 for 1 January."""
-    return int((time.astype("datetime64[D]") - time.astype("datetime64[Y]")).astype(int)) + 1
-
-
-def station_pressure(sky: Sky) -> tuple[float, str]:
-    """The pressure at the station, Pa, by the file or by its altitude, and a note where it is assumed."""
-    if np.isfinite(sky.pressure_pa):
-        return sky.pressure_pa, ""
-    if np.isfinite(sky.altitude_m):
-        return float(pressure_at_altitude(sky.altitude_m)), ""
-    return SEA_LEVEL_PRESSURE, "no pressure or altitude in the file: Rayleigh depth of sea level"
 
 
 def time_names(sky: Sky) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 import re
 
 
-RADIANCE, IRRADIANCE = "W m-2 sr-1 nm-1", "W m-2 nm-1"
+RADIANCE, IRRADIANCE, LUMINANCE = "W m-2 sr-1 nm-1", "W m-2 nm-1", "cd m-2"
 
 _SPELLINGS = {
     "µ": "u",
@@ -38,6 +38,8 @@ _LENGTH = {
     "angstrom": 1e-10,
     "Angstrom": 1e-10,
 }
+_PREFIX = {"": 1.0, "k": 1e3, "m": 1e-3}
+_LUMINANCE = re.compile(r"([km]?)(?:(?:cd|candela)(?:[ .]*m\^?-2|[ ]*/[ (]*m\^?2\)?)|nits?)")
 _ANGLE = ("sr", "steradian", "steradians", "ster")
 
 
@@ -58,10 +60,20 @@ def irradiance_factor(units: str) -> float:
     return _factor(units, IRRADIANCE)
 
 
-def _factor(units, wanted):
-    text = units
+def luminance_factor(units: str) -> float | None:
+    """The factor that turns a luminance in `units` into cd m^-2; None where they are not of luminance."""
+    match = _LUMINANCE.fullmatch(_spelled(units).strip())
+    return None if match is None else _PREFIX[match[1]]
+
+
+def _spelled(units):
     for old, new in _SPELLINGS.items():
-        text = text.replace(old, new)
+        units = units.replace(old, new)
+    return units
+
+
+def _factor(units, wanted):
+    text = _spelled(units)
     # "W.m-2.sr-1": a point between letters or digits is a product.
     text = re.sub(r"(?<=\w)\.(?=[A-Za-z])", " ", text)
     scale, power, length, solid = 1.0, 0, 0, 0

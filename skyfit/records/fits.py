@@ -18,7 +18,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from ..measured import atomic, NoiseModel, Response, Sky
+from ..measured import atomic, NoiseModel, Response, Sky, STATION_RANGES
 from ..measured.readers.netcdf import load_dataset
 from ..measured.units import RADIANCE
 from ..measured.writing import skyfit_version
@@ -123,7 +123,7 @@ def fit_many(
 def _settings(asked: Prepared, max_steps: int, guess: bool, starts: int) -> dict[str, str]:
     """All that the numbers depend on, as text."""
     sky, response = asked.sky, asked.sampling.response
-    station = sky.latitude_deg, sky.longitude_deg, sky.altitude_m, sky.pressure_pa
+    station = tuple(getattr(sky, name) for name in STATION_RANGES if name != "fwhm_nm")
     samples = np.where(sky.usable, sky.radiance, np.nan)
     views = [view[0] if sky.one_pattern else view for view in (sky.view_zenith, sky.view_azimuth)]
     leaves, structure = jax.tree.flatten(asked.start)

@@ -21,5 +21,6 @@ from .parameters import (
     with_values as with_values,
 )
 from .predict import predict as predict
+from .prepared import start_at as start_at
 from .result import Fit as Fit, Fitted as Fitted
 from .retrieve import retrieve as retrieve

@@ -21,6 +21,7 @@ from ..measured.quality.plausibility import beyond_sigma, POOR
 from ..numerics.chain import Point
 from .prepared import first_points, flaws, Prepared
 from .report import described_time
+from .result import FEW
 from .retrieve import retrieve
 
 
@@ -42,7 +43,8 @@ class Fits:
       over the usable samples at the fitted wavelengths, `samples` of them
     - `calibration`, `calibration_sigma` `[time, fitted wavelength]`: the instrument's scale, 1 where it is not fitted
     - `steps` `[time]`, `cost` `[time]`: half the sum of squares after the loss
-    - `result` `[time]`, among `RESULTS`: "successful"; "poor_fit" (residuals beyond a quarter of the mean radiance) and
+    - `result` `[time]`, among `RESULTS`: "successful"; "poor_fit" (residuals beyond a quarter of the mean radiance,
+      outliers left out) and
       "max_steps_reached", whose numbers do not hold; without any "failed" (not finite), "no_samples", "too_few_samples"
       (fewer than parameters), "sun_below_horizon", "sun_too_low" (for the solver), "not_a_sky" (no sunlight makes such
       radiance)
@@ -192,12 +194,23 @@ def _outcome(model, names, options, priors, one, own) -> Outcome:
     used = one.weight > 0.0
     count = jnp.maximum(jnp.sum(used), 1)
     rmse = jnp.sqrt(jnp.sum(jnp.where(used, found.radiance[0] - one.measured, 0.0) ** 2) / count)
-    poor = ~(rmse <= POOR * jnp.sum(one.measured) / count)
+    kept = used & ~_outliers(found.weight[0], used)[:, None]
+    kept_count = jnp.maximum(jnp.sum(kept), 1)
+    kept_rmse = jnp.sqrt(jnp.sum(jnp.where(kept, found.radiance[0] - one.measured, 0.0) ** 2) / kept_count)
+    poor = ~(kept_rmse <= POOR * jnp.sum(jnp.where(kept, one.measured, 0.0)) / kept_count)
     return Outcome(
         found.values[0], found.noise[0], found.model[0], found.freedom[0], found.scale[0], found.chi_square[0],
         found.calibration, found.calibration_sigma, rmse, found.cost, found.steps,
         ended(found.result, found.finite, poor),
     )  # fmt: skip
+
+
+def _outliers(weight, used):
+    """As `result.outliers`, of one time and traced."""
+    held = jnp.any(used, axis=1)
+    mean = jnp.sum(jnp.where(used, weight, 0.0), axis=1) / jnp.maximum(jnp.sum(used, axis=1), 1)
+    out = held & (mean < 0.5)
+    return out & (jnp.sum(out) <= FEW * jnp.sum(held))
 
 
 def ended(result, finite, poor) -> Int[Array, ""]:

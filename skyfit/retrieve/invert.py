@@ -10,7 +10,7 @@ from ..numerics.chain import Point
 from ..transport import AbstractSolver
 from .model import SkyModel
 from .parameters import DEFAULT_FREE
-from .prepared import check, first_points, Prepared, prepared
+from .prepared import check, first_points, fittable, Prepared, prepared
 from .report import fit_of
 from .result import Fit
 from .retrieve import retrieve
@@ -57,12 +57,18 @@ def invert(
 
     **Returns:** a `Fit`. Sigma is that of noise (widened where the residuals exceed it), priors included, and of the
     model's stated error.
-    **Valid:** sun above the horizon; samples in bands of oxygen and water vapour are left out and counted.
+    **Valid:** times with the sun above the horizon and more samples than parameters; the others are left out of the
+    `Fit`, whose notes name them, and an error if they are all. Samples in bands of oxygen and
+    water vapour are left out and counted.
     **Errors:** `ValueError` for unknown or contradicting names, or a sky with too few usable samples.
     """
-    asked = prepared(sky, free, solver, start, fwhm_nm, max_steps, shared, measurement, response, priors, smooth, draft)
+    settings = fwhm_nm, max_steps, shared, measurement, response, priors, smooth, draft
+    asked = prepared(sky, free, solver, start, *settings)
+    rest = fittable(asked)
+    if rest is not None:
+        asked = prepared(rest, free, solver, start, *settings)
     check(asked)
-    times = len(sky.time)
+    times = len(asked.sky.time)
     groups = [np.arange(times)] if asked.shared or asked.linked else [np.array([t]) for t in range(times)]
     parts = []
     for number, group in enumerate(groups):

@@ -15,6 +15,7 @@ from ..atmosphere import (
     Atmosphere,
     HenyeyGreenstein,
     optical_depth_to_turbidity,
+    Ozone,
     Rayleigh,
     turbidity_to_optical_depth,
     TwoModeAerosol,
@@ -196,13 +197,13 @@ SLOW = tuple(p.name for p in _LIST if p.slow)
 _DEPTH = 0.15
 
 
-def start_model(free: tuple[str, ...], pressure: float) -> SkyModel:
+def start_model(free: tuple[str, ...], pressure: float, ozone: float = 300.0) -> SkyModel:
     """The model a fit starts from: the defaults of `Atmosphere.from_optical_depth`, optical depth 0.15.
 
     The phase function has two lobes if a second one is to be fitted; the haze is one of spheres in two modes of size,
     whose optics follow, if anything of these is.
 
-    **Arguments:** names that are free; `pressure` of the station, Pa. **Returns:** a `SkyModel`.
+    **Arguments:** names that are free; `pressure` of the station, Pa; `ozone` over it, DU. **Returns:** a `SkyModel`.
     """
     groups = {PARAMETERS[name].group for name in free if name in PARAMETERS}
     if "particles" in groups:
@@ -212,7 +213,7 @@ def start_model(free: tuple[str, ...], pressure: float) -> SkyModel:
         two_lobes = TwoTermHenyeyGreenstein(0.75, 0.1, 0.8)
         lobes = two_lobes if "two lobes" in groups else HenyeyGreenstein(0.7)
         haze = Aerosol(optical_depth=as_float(_DEPTH), phase=lobes)
-    return SkyModel(Atmosphere(Rayleigh(pressure=as_float(pressure)), haze))
+    return SkyModel(Atmosphere(Rayleigh(pressure=as_float(pressure)), haze, Ozone(column=as_float(ozone))))
 
 
 def check_free(free: tuple[str, ...], model: SkyModel, argument: str = "free", per_wavelength: bool = False) -> None:

@@ -1,22 +1,22 @@
 """What a retrieval is asked for, checked, and the arrays that it works on."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
 
+from ..atmosphere import from_description
 from ..light.solar import SPECTRUM_NM
-from ..measured import NoiseModel, Response, Sky
+from ..measured import NoiseModel, Response, Sky, station_pressure, STATION_RANGES, sun_factor, time_names
 from ..measured.quality.oddities import examine
-from ..measured.samples import station_pressure, STATION_RANGES
 from ..numerics import as_float
 from ..numerics.chain import Point
 from ..transport import AbstractSolver, low_sun, OrdersOfScattering
 from .forward import Problem
 from .guess import first_guess
 from .model import SkyModel
-from .parameters import check_free, PARAMETERS, start_model, values_of
+from .parameters import check_free, fixed_values, PARAMETERS, start_model, values_of
 from .residuals import Priors
 from .sampling import Sampling
 
@@ -99,8 +99,7 @@ def prepared(
     measurement = NoiseModel() if measurement is None else measurement
     # colours of a camera are told less by polarisation than by what its channels really are
     solver = OrdersOfScattering.normal(polarised=sky.response is None) if solver is None else solver
-    pressure, assumed = station_pressure(sky)
-    start = start_model(free, pressure) if start is None else start
+    start = start_at(sky, free) if start is None else start
     check_free(free, start)
     known, ties = _checked_priors(dict(priors or {}), free), dict(smooth or {})
     _check_shared(shared, ties, free)
@@ -108,8 +107,9 @@ def prepared(
     if fwhm_nm is not None and np.isfinite(fwhm_nm) and not low <= fwhm_nm <= high:
         raise ValueError(f"`fwhm_nm` must be {low:g} to {high:g} {unit}, got {fwhm_nm:g}")
     sampling = Sampling(sky, fwhm_nm, measurement.field_of_view)
-    if assumed:
-        sampling.notes.append(assumed)
+    distance = sun_factor(sky)[1]
+    sampling.notes += [distance] if distance else []
+    sampling.notes += [*_assumed(sky, start, free), *_unlike_its_maker(sky, start, free)]
     chosen = sampling.chosen()
     if chosen.size == 0:
         raise ValueError(f"`sky` has no usable sample at {SPECTRUM_NM[0]:g}-{SPECTRUM_NM[1]:g} nm")
@@ -123,6 +123,34 @@ def prepared(
         sky, free, own, common, solver, draft, start, measurement, known, ties,
         max_steps, sampling, chosen, problem, places, rows, linked,
     )  # fmt: skip
+
+
+def start_at(sky: Sky, free: Sequence[str]) -> SkyModel:
+    """The model a fit of a sky starts from, with the pressure and the ozone of its station (`start_model`)."""
+    ozone = {} if np.isnan(sky.ozone_du) else {"ozone": sky.ozone_du}
+    if "ozone" in free and ozone:
+        ozone["ozone"] = float(np.clip(sky.ozone_du, PARAMETERS["ozone"].lower + 1.0, PARAMETERS["ozone"].upper - 1.0))
+    return start_model(tuple(free), station_pressure(sky)[0], **ozone)
+
+
+def _assumed(sky: Sky, start: SkyModel, free: tuple[str, ...]) -> Iterator[str]:
+    """What is taken of the station that neither its file nor the user tells."""
+    pressure, sentence = station_pressure(sky)
+    held = fixed_values(start, free).get("pressure")
+    if sentence and held is not None and np.isclose(held, pressure, rtol=1e-5):
+        yield sentence
+
+
+def _unlike_its_maker(sky: Sky, start: SkyModel, free: tuple[str, ...]) -> Iterator[str]:
+    """What is held fixed at other values than a simulated sky says that it was made with."""
+    if "atmosphere" not in sky.made_by:
+        return
+    maker = SkyModel(from_description(sky.made_by["atmosphere"], "made_by.atmosphere"))
+    true, held = fixed_values(maker, free), fixed_values(start, free)
+    other = [n for n in held if n in true and not np.isclose(held[n], true[n], rtol=1e-3, atol=1e-6)]
+    if other:
+        told = ", ".join(f"{n} {held[n]:.4g} for {true[n]:.4g}" for n in other)
+        yield f"held fixed unlike what made this sky: {told}"
 
 
 def flaws(asked: Prepared) -> list[str]:
@@ -144,8 +172,26 @@ def flaws(asked: Prepared) -> list[str]:
     ]  # fmt: skip
 
 
+_WHY = {
+    "sun_below_horizon": "the sun is at or below the horizon",
+    "no_samples": "no usable sample",
+    "too_few_samples": "fewer usable samples than free parameters",
+}
+
+
+def fittable(asked: Prepared) -> Sky | None:
+    """The sky without the times that cannot be fitted, which its notes name; None if it is all of them, or none."""
+    why = flaws(asked)
+    kept = [t for t, flaw in enumerate(why) if not flaw]
+    if not kept or len(kept) == len(why):
+        return None
+    names = time_names(asked.sky)
+    told = [f"{names[t]} not fitted: {_WHY[flaw]}" for t, flaw in enumerate(why) if flaw]
+    return replace(asked.sky.at_times(kept), notes=(*asked.sky.notes, *told))
+
+
 def check(asked: Prepared) -> None:
-    """A `ValueError` if any time cannot be fitted, or if all are no sky; what is odd goes into the notes."""
+    """A `ValueError` if a time cannot be fitted, or if all are no sky; what is odd goes into the notes."""
     for t, flaw in enumerate(flaws(asked)):
         if flaw == "sun_below_horizon":
             raise ValueError(f"`sky` has the sun at or below the horizon at time {t}: it cannot be inverted")

@@ -1,16 +1,17 @@
 """From the estimates of all times to a `Fit`: values in the user's order, the fitted sky, words."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-from ..measured.quality.plausibility import doubts, poor_fit
+from ..measured import Sky
+from ..measured.quality.plausibility import at_time, doubts, poor_fit
 from ..numerics import as_float
 from ..numerics.least_squares import result_name
 from .parameters import PARAMETERS, with_values
 from .prepared import Prepared
-from .result import Fit, in_words, is_determined
+from .result import Fit, in_words, is_determined, outliers
 from .sampling import scale_at
 from .uncertainty import Estimate
 
@@ -28,8 +29,10 @@ def fit_of(asked: Prepared, groups: Sequence[np.ndarray], parts: Sequence[Estima
             rows[t] = _row(asked, int(t), index, part)
     stack: dict[str, Any] = {key: np.stack([row[key] for row in rows]) for key in rows[0] if key not in _WORDS}
     words: dict[str, Any] = {key: tuple(row[key] for row in rows) for key in _WORDS}
-    judged = sky, stack["model"], asked.sampling.used
-    notes = (*asked.sampling.notes, *doubts(*judged, stack["reduced_chi_square"]))
+    # a lamp in the view does not make the rest of the fit a poor one
+    out = outliers(stack["weight"])
+    judged = sky, stack["model"], asked.sampling.used & ~out[..., None]
+    notes = (*asked.sampling.notes, *_left_out(sky, out), *doubts(*judged, stack.pop("kept_chi_square")))
     pairs = zip(words["result"], poor_fit(*judged), strict=True)
     words["result"] = tuple("poor_fit" if poor and name == "successful" else name for name, poor in pairs)
     return Fit(
@@ -38,6 +41,23 @@ def fit_of(asked: Prepared, groups: Sequence[np.ndarray], parts: Sequence[Estima
         smooth=asked.smooth, response=asked.sampling.response, fitted_nm=sky.wavelength_nm[asked.chosen],
         notes=notes, **stack, **words,
     )  # fmt: skip
+
+
+def _left_out(sky: Sky, out: np.ndarray) -> Iterator[str]:
+    """How many directions of each time the loss rejects and the verdict leaves out."""
+    for t, count in enumerate(out.sum(axis=1).tolist()):
+        if count:
+            known = int(np.isfinite(sky.view_zenith[t]).sum())
+            yield f"{at_time(sky, t)}{count} of {known} directions rejected, the verdict is of the others"
+
+
+def _kept_share(residual: np.ndarray, inverse_sigma: np.ndarray, weight: np.ndarray) -> float:
+    """Chi-square per sample without the outliers, by that of all samples; `[direction, wavelength]` each."""
+    used = inverse_sigma > 0.0
+    kept = used & ~outliers(weight)[:, None]
+    square = np.where(used, residual * inverse_sigma, 0.0) ** 2
+    whole = square.sum() / max(used.sum(), 1)
+    return float(square[kept].sum() / max(kept.sum(), 1) / whole) if whole > 0.0 else 1.0
 
 
 def _row(asked: Prepared, t: int, index: int, part: Estimate) -> dict:
@@ -55,6 +75,10 @@ def _row(asked: Prepared, t: int, index: int, part: Estimate) -> dict:
     held = np.asarray(asked.problem.weight[t]).any(axis=1)
     place = asked.places[t][held]
     weight[place] = np.asarray(part.weight[index], float)[held]
+    inverse_sigma = np.zeros_like(weight)
+    inverse_sigma[place] = np.asarray(asked.problem.weight[t], float)[held]
+    weight = np.where(used[:, asked.chosen], weight, np.nan)
+    kept_share = _kept_share((reading - asked.sky.radiance[t])[:, asked.chosen], inverse_sigma, weight)
     gain = np.zeros((len(order), *weight.shape))
     gain[:, place] = np.einsum("pq,qdw->pdw", change, np.asarray(part.gain[index], float)[order][:, held])
     triangle = np.asarray(part.triangle[index], float)[:, order] @ np.abs(change).T
@@ -64,7 +88,8 @@ def _row(asked: Prepared, t: int, index: int, part: Estimate) -> dict:
         "reduced_chi_square": float(part.chi_square[index]),
         "scale": float(part.scale[index]),
         "degrees_of_freedom": float(part.freedom[index]),
-        "weight": np.where(used[:, asked.chosen], weight, np.nan),
+        "kept_chi_square": kept_share * float(part.chi_square[index]),
+        "weight": weight,
         "gain": gain,
         "calibration": calibration,
         "calibration_sigma": np.asarray(part.calibration_sigma, float),

@@ -103,9 +103,7 @@ class Fit:
     @property
     def rejected(self) -> np.ndarray:
         """Directions that the loss trusts less than half on the mean over wavelengths, `[time, direction]`."""
-        held = np.isfinite(self.weight)
-        mean = np.sum(np.where(held, self.weight, 0.0), axis=2) / np.maximum(held.sum(axis=2), 1)
-        return held.any(axis=2) & (mean < 0.5)
+        return rejected(self.weight)
 
     @property
     def correlation(self) -> np.ndarray:
@@ -138,6 +136,23 @@ class Fit:
             lines.extend(f"  {sentence}" for sentence in self.undetermined[t])
         lines.extend(f"note: {note}" for note in self.notes)
         return "\n".join(lines)
+
+
+# of all directions: more that are rejected are no outliers, but what the model does not explain
+FEW = 0.2
+
+
+def rejected(weight: np.ndarray) -> np.ndarray:
+    """Directions whose weight is less than half on the mean over wavelengths, `[..., direction]`; NaN: not used."""
+    held = np.isfinite(weight)
+    mean = np.sum(np.where(held, weight, 0.0), axis=-1) / np.maximum(held.sum(axis=-1), 1)
+    return held.any(axis=-1) & (mean < 0.5)
+
+
+def outliers(weight: np.ndarray) -> np.ndarray:
+    """The rejected directions of each time, `[..., direction]`, if they are a fifth of its directions or less."""
+    out, held = rejected(weight), np.isfinite(weight).any(axis=-1)
+    return out & (out.sum(axis=-1) <= FEW * held.sum(axis=-1))[..., None]
 
 
 # a parameter counts as determined if its sigma is below this share of its allowed range, or e-fold

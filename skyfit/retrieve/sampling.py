@@ -3,11 +3,9 @@
 import equinox as eqx
 import numpy as np
 
-from ..light import earth_sun_factor
 from ..light.solar import SPECTRUM_NM
-from ..measured import LineShape, NoiseModel, Response, Seen, Sky
+from ..measured import LineShape, NoiseModel, Response, Seen, Sky, sun_factor
 from ..measured.quality.line_shape import estimate_fwhm
-from ..measured.samples import day_of_year
 from ..numerics import as_float
 from ..transport import AbstractSolver
 from .forward import observe, Problem
@@ -37,6 +35,7 @@ class Sampling:
         self.irradiance = np.full(spectrum.shape, np.nan)
         self.irradiance[inside] = self.seen.sunlight(spectrum[inside])
         self.used = self._usable()
+        self.sun_factor = sun_factor(sky)[0]
 
     @property
     def response(self) -> Response | None:
@@ -120,8 +119,7 @@ class Sampling:
         wavelengths = channels if self.response is None else self.inside
         suns = [as_float(v[times] if v.ndim == 1 else v[times][:, channels]) for v in (sky.sun_zenith, sky.sun_azimuth)]
         count = len(sky.time[times])
-        stamps = sky.time[times]
-        factor = np.array([1.0 if np.isnat(t) else earth_sun_factor(day_of_year(t)) for t in stamps])
+        factor = self.sun_factor[times]
         weight = self.seen.weight
         weight = None if weight is None else weight[np.ix_(channels, wavelengths)]
         return {

@@ -21,8 +21,8 @@ def doubts(
 ) -> tuple[str, ...]:
     """What a fit leaves to doubt, in sentences: residuals far beyond the noise or beyond any use.
 
-    **Arguments:** `sky`; `model`, the fitted radiance; `used`, the samples that the fit was to explain, rejected
-    ones too; `reduced_chi_square` of the residuals without robust weights.
+    **Arguments:** `sky`; `model`, the fitted radiance; `used`, the samples that the fit was to explain, without
+    outliers; `reduced_chi_square` of their residuals without robust weights.
     **Returns:** a sentence for each time that is poor (`poor_fit`) or whose residuals are large: 2 sigma of a file that
     states it, 3 of the noise that is taken where it does not.
     """

@@ -7,21 +7,32 @@ import numpy as np
 from ..response import Response
 from ..samples import Sky
 from ..units import IRRADIANCE, irradiance_factor, is_nanometre, is_radian, RADIANCE, radiance_factor
+from .flags import flag_variables, flagged, outside
+from .header import Head, quantity_of
+from .scale import scale_of
 from .screening import Contents, screened
 
 
 AXES = ("time", "direction", "wavelength")
 BEAM = "direct_normal_irradiance"
-_STATION = {
-    "latitude": ("latitude",),
-    "longitude": ("longitude",),
-    "altitude_m": ("altitude_m", "elevation_m"),
-    "pressure_pa": ("pressure_pa",),
-    "fwhm_nm": ("fwhm_nm",),
-}
+_USED = (
+    *AXES, "radiance", "sigma", "suspect", "view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth",
+    "sun_azimuth_instrument", BEAM, f"{BEAM}_sigma",
+)  # fmt: skip
+# what describes a file to people and catalogues: by CF and ACDD, and what libraries leave
+_DESCRIPTIVE = frozenset(
+    "conventions title history institution source references featuretype summary keywords keywords_vocabulary id "
+    "naming_authority processing_level acknowledgement license standard_name_vocabulary project program platform "
+    "platform_vocabulary instrument instrument_vocabulary cdm_data_type metadata_link product_version coordinates "
+    "coverage_content_type uuid doi licence copyright rights url contact author authors email creator publisher "
+    "contributor".split()
+)
+_DESCRIPTIVE_PARTS = ("creator_", "publisher_", "contributor_", "date_", "geospatial_", "time_coverage_", "_nc")
+# of these a file says one thing, or is wrong
+_CANONICAL = ("latitude", "longitude", "altitude_m", "elevation_m", "pressure_pa", "fwhm_nm")
 
 
-def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
+def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) -> Sky:
     """A NetCDF file of sky radiance as a `Sky`.
 
     **Arguments**
@@ -33,28 +44,39 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
       [time, wavelength], or latitude, longitude and time. Channels of a camera or photometer: `channel` in place of
       the dimension wavelength, `response` [channel, spectrum], `spectrum` (nm), optionally `channel` (names), and
       `wavelength` [channel], what they are called; `radiance` is then in any unit, that of the response
-    - `station`: numbers that stand instead of the file's own, by name
+    - `station`: numbers that stand instead of the file's own, by name; those are attributes, or variables of one value,
+      in the spellings and units that `header` knows; `own_units`: those of channels, of any name
 
     **Returns** a `Sky`. `sun_azimuth_instrument`, where finite, stands before `sun_azimuth`.
 
-    **Valid** units W m-2 sr-1 nm-1 in any common spelling; mW, um, cm are converted, with a note; the
-    irradiance of the sun's beam W m-2 nm-1 alike.
+    **Valid** the CF conventions: fill values, packing, valid ranges and flags (`flags`) mask samples, counted by
+    reason; what is not used is named in a note. Units W m-2 sr-1 nm-1 in any common spelling; mW, um, cm are
+    converted, with a note; the irradiance of the sun's beam W m-2 nm-1 alike.
     """
     data = load_dataset(path)
     name = path.name
     response, data = _response(name, data)
     _require(name, data)
-    radiance, factor, notes = _radiance(name, data, response)
+    radiance, factor, notes, eye = _radiance(name, data, response, own_units)
     axes = radiance.dims
     shape = radiance.shape
     sigma = None
     if "sigma" in data:
-        units = None if response is not None else data["sigma"].attrs.get("units")
+        units = None if own_units or response is not None or eye is not None else data["sigma"].attrs.get("units")
         sigma = _spread(name, data, "sigma", axes, radiance)
         sigma = sigma * (factor if units is None else _factor(name, "sigma", units))
     suspect = None
     if "suspect" in data:
         suspect = _spread(name, data, "suspect", axes, radiance) != 0.0
+    light = _stored(name, radiance)
+    reasons = {"outside its valid range": outside(name, radiance)}
+    flags = flag_variables(data)
+    for key in flags:
+        about = data[key].attrs
+        if not {"flag_values", "flag_masks"} & about.keys():
+            notes.append(f"`{key}` does not say what its flags mean: 0 is taken as good")
+        for reason, where in flagged(name, key, _spread(name, data, key, axes, radiance), about):
+            reasons[reason] = reasons.get(reason, False) | where
     zenith, known = _angle(name, data, "view_zenith", "direction", radiance)
     azimuth, _ = _angle(name, data, "view_azimuth", "direction", radiance)
     zenith, azimuth = _alike(zenith, azimuth, along=1)
@@ -64,28 +86,35 @@ def read_netcdf(path: Path, station: dict[str, float]) -> Sky:
     notes += note
     direct, direct_sigma, converted = _beam(name, data, radiance)
     notes += converted
-    found = _station(name, data)
-    found.update(station)
+    head, taken = _head(name, data)
+    used = {*_USED, *taken, *flags}
+    unused = {
+        "variables": [str(key) for key in data.variables if key not in used],
+        "attributes": head.unknown,
+    }
+    notes += [f"{what} not used: {', '.join(keys)}" for what, keys in unused.items() if keys]
     return screened(
         Contents(
             name=name,
-            radiance=_numbers(name, radiance) * factor,
+            radiance=light * factor,
             sigma=sigma,
             suspect=suspect,
+            reasons=reasons,
             direct=direct,
             direct_sigma=direct_sigma,
             view_zenith=zenith,
             view_azimuth=azimuth,
             wavelength=_wavelength(name, data),
-            time=_time(name, data, shape[0]),
+            time=_time(name, data, shape[0], head.moment),
             sun_zenith=sun_zenith,
             sun_azimuth=sun_azimuth,
-            station=found,
-            saturation=_saturation(name, data, factor),
-            notes=_own_notes(data) + notes,
+            station=head.station | station,
+            saturation=_saturation(head, data, factor),
+            notes=head.notes + notes,
+            made_by=head.made_by,
             angles_known=known,
             turned=bool(note),
-            response=response,
+            response=eye if response is None else response,
         )
     )
 
@@ -148,7 +177,7 @@ def _response(name, data):
     return response, data.swap_dims(channel="wavelength")
 
 
-def _radiance(name, data, response):
+def _radiance(name, data, response, own_units):
     radiance = data["radiance"]
     extra = [axis for axis in radiance.dims if axis not in AXES]
     if extra or "direction" not in radiance.dims or "wavelength" not in radiance.dims:
@@ -159,11 +188,19 @@ def _radiance(name, data, response):
     if 0 in radiance.shape:
         raise ValueError(f"{name}: variable `radiance`: expected samples, found {radiance.shape}")
     units = radiance.attrs.get("units")
-    factor = 1.0 if response is not None else _factor(name, "radiance", units)
-    notes = [] if factor == 1.0 else [f"radiance converted from {units} to {RADIANCE}"]
+    factor, notes, eye = 1.0, [], None
+    if response is None:
+        told = None if units is None else str(units)
+        try:
+            factor, notes, eye = scale_of(told, radiance.sizes["wavelength"], own_units)
+        except ValueError as error:
+            raise ValueError(f"{name}: variable `radiance`: {error}") from None
     if "time" not in radiance.dims:
         radiance = radiance.expand_dims("time")
-    return radiance.transpose(*AXES), factor, notes
+    radiance = radiance.transpose(*AXES)
+    # how it was packed, which a change of axes forgets
+    radiance.encoding = data["radiance"].encoding
+    return radiance, factor, notes, eye
 
 
 def _beam(name, data, radiance):
@@ -193,6 +230,12 @@ def _factor(name, variable, units, wanted=RADIANCE):
 
 
 def _numbers(name, variable):
+    """The numbers of a variable, NaN where they are outside its valid range."""
+    numbers = _stored(name, variable)
+    return np.where(outside(name, variable), np.nan, numbers)
+
+
+def _stored(name, variable):
     if variable.dtype.kind not in "fiub":
         raise ValueError(f"{name}: variable `{variable.name}`: expected numbers, found {variable.dtype}")
     return np.asarray(variable.values, dtype=np.float64)
@@ -282,9 +325,10 @@ def _wavelength(name, data):
     return _numbers(name, variable)
 
 
-def _time(name, data, length):
+def _time(name, data, length, moment):
+    """Of each time; `moment` where the file has no such variable."""
     if "time" not in data.variables:
-        return np.full(length, np.datetime64("NaT", "ns"))
+        return np.full(length, moment)
     values = data["time"]
     if values.dtype.kind != "M":
         raise ValueError(
@@ -294,46 +338,36 @@ def _time(name, data, length):
     return np.broadcast_to(values.values.astype("datetime64[ns]"), (length,)).copy()
 
 
-def _station(name, data):
-    station = {}
-    for key, spellings in _STATION.items():
-        for spelling in spellings:
-            number = _scalar(name, data, spelling)
-            if number is not None and np.isfinite(number):
-                station.setdefault(key, number)
-    return station
-
-
-def _scalar(name, data, key):
-    """One number from an attribute or a variable, or None."""
-    if key in data.variables:
+def _head(name, data):
+    """What attributes and single numbers among the variables say, and the names of those variables."""
+    head, taken = Head(name), []
+    for key, value in data.attrs.items():
+        plain = str(key).lower()
+        if quantity_of(plain) is None and (plain in _DESCRIPTIVE or plain.startswith(_DESCRIPTIVE_PARTS)):
+            continue
+        value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
+        if not (isinstance(value, int | float | np.number) and not np.isfinite(value)):
+            head.entry("attribute", str(key), value)
+    for key in map(str, data.variables):
+        if key in _USED or quantity_of(key) is None:
+            continue
         numbers = np.unique(_numbers(name, data[key]))
-        kind = "variable"
-    elif key in data.attrs:
-        kind = "attribute"
-        try:
-            numbers = np.unique(np.asarray(data.attrs[key], dtype=np.float64))
-        except (TypeError, ValueError):
-            raise ValueError(f"{name}: attribute `{key}`: expected a number, found {data.attrs[key]!r}") from None
-    else:
-        return None
-    if numbers.size != 1:
-        raise ValueError(f"{name}: {kind} `{key}`: expected one number, found {numbers.size}")
-    return float(numbers[0])
+        if numbers.size != 1:
+            if key in _CANONICAL:
+                raise ValueError(f"{name}: variable `{key}`: expected one number, found {numbers.size}")
+            continue
+        taken.append(key)
+        if np.isfinite(numbers[0]):
+            head.number("variable", key, f"{float(numbers[0])!r}", str(data[key].attrs.get("units", "")))
+    return head, taken
 
 
-def _saturation(name, data, factor):
+def _saturation(head, data, factor):
     """The saturation radiance, an attribute of `radiance` or of the file, in its units."""
-    attributes = data["radiance"].attrs
-    value = attributes.get("saturation", data.attrs.get("saturation"))
+    value = data["radiance"].attrs.get("saturation", head.saturation)
     if value is None:
         return None
     try:
         return float(value) * factor
     except (TypeError, ValueError):
-        raise ValueError(f"{name}: attribute `saturation`: expected a number, found {value!r}") from None
-
-
-def _own_notes(data):
-    text = data.attrs.get("notes")
-    return text.splitlines() if isinstance(text, str) else []
+        raise ValueError(f"{head.name}: attribute `saturation`: expected a number, found {value!r}") from None

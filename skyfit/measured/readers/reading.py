@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+from ..response import Response
 from ..samples import Sky
 from .asd import read_asd
 from .netcdf import read_netcdf
@@ -11,6 +12,8 @@ from .tidy import read_tidy
 
 # by suffix; a folder is of ASD text exports
 READERS = {".nc": read_netcdf, ".nc4": read_netcdf, ".cdf": read_netcdf, ".csv": read_tidy}
+# those that take units of channels
+_OF_CHANNELS = (read_netcdf, read_tidy)
 
 
 def read(
@@ -21,6 +24,7 @@ def read(
     utc_offset: float | int | None = None,
     altitude: float | int | None = None,
     fwhm_nm: float | int | None = None,
+    response: Response | None = None,
 ) -> Sky:
     """Measured sky radiance from a NetCDF file, a tidy CSV or a folder of ASD text exports.
 
@@ -32,6 +36,8 @@ def read(
       the times of the others are UTC
     - `altitude`: m above sea level; instead of the file's own
     - `fwhm_nm`: full width at half maximum of the instrument's line shape, nm
+    - `response`: of the channels that the samples are of, if the file does not hold it; its units are then those of
+      the channels, whatever they are called. Luminance (cd m-2) in one channel needs none: the eye's is known
 
     **Returns** a `Sky`; samples that are missing, negative, infinite, saturated, below the horizon
     or marked as suspect are masked and counted, never silently used.
@@ -46,10 +52,17 @@ def read(
         "altitude_m": altitude,
         "fwhm_nm": fwhm_nm,
     }
+
+    def seen(sky: Sky) -> Sky:
+        try:
+            return sky.with_response(response)
+        except ValueError as error:
+            raise ValueError(f"{path.name}: {error}") from None
+
     station = {key: float(value) for key, value in given.items() if value is not None}
     try:
         if path.is_dir():
-            return read_asd(path, station, utc_offset)
+            return seen(read_asd(path, station, utc_offset))
         if not path.exists():
             raise ValueError(f"{path}: expected a file or a folder, found none")
         if not path.is_file():
@@ -63,6 +76,8 @@ def read(
             raise ValueError(
                 f"{path.name}: `utc_offset` is for a folder of ASD text exports; times in this file are UTC"
             )
-        return reader(path, station)
+        # a reader of one's own may know no channels
+        own = {} if response is None or reader not in _OF_CHANNELS else {"own_units": True}
+        return seen(reader(path, station, **own))
     except OSError as error:
         raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error

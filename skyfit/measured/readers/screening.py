@@ -27,7 +27,8 @@ class Contents:
     """What a reader found: file units (degrees), before any screening.
 
     **Arguments** arrays as in `Sky`, angles in degrees; views may be NaN where a time has no samples; `station` holds
-    numbers by the names latitude, longitude, altitude_m, pressure_pa, fwhm_nm; `suspect` is True where masked;
+    numbers by the names latitude, longitude, altitude_m, pressure_pa, fwhm_nm, ozone_du, sun_distance_au; `made_by`:
+    what made a simulated sky; `suspect` is True where masked, as is each of `reasons`;
     `rows`: axis -> the row where each of its values first stands, for errors ("direction": in the shape of the views,
     "sun": of the sun's angles, if not that of "time");
     `angles_known`: the file said radians, so that no small angle is suspicious; `turned`: azimuths are in the
@@ -45,6 +46,7 @@ class Contents:
     sun_azimuth: np.ndarray
     sigma: np.ndarray | None = None
     suspect: np.ndarray | None = None
+    reasons: dict[str, np.ndarray] = field(default_factory=dict)
     direct: np.ndarray | None = None
     direct_sigma: np.ndarray | None = None
     station: dict[str, float] = field(default_factory=dict)
@@ -53,6 +55,7 @@ class Contents:
     angles_known: bool = False
     turned: bool = False
     response: Response | None = None
+    made_by: dict = field(default_factory=dict)
     rows: dict[str, list] = field(default_factory=dict)
 
 
@@ -71,8 +74,12 @@ def screened(found: Contents) -> Sky:
     wavelength, order = _check_wavelengths(found)
     radiance = found.radiance[..., order]
     sigma = None if found.sigma is None else found.sigma[..., order]
-    suspect = None if found.suspect is None else found.suspect[..., order]
-    radiance, usable, masked = screen(radiance, sigma, suspect, zenith, found.saturation, _signed(found.response))
+    reasons = {reason: where[..., order] for reason, where in found.reasons.items()}
+    if found.suspect is not None:
+        reasons["suspect"] = found.suspect[..., order]
+    radiance, usable, masked, reason = screen(
+        radiance, sigma, reasons, zenith, found.saturation, _signed(found.response)
+    )
     direct, direct_sigma = _check_beam(found, order)
     sun_zenith, sun_azimuth = _place_sun(found, order)
     found.notes += _small_angles(found, zenith, azimuth, sun_zenith, sun_azimuth)
@@ -93,10 +100,14 @@ def screened(found: Contents) -> Sky:
             altitude_m=station.get("altitude_m", np.nan),
             pressure_pa=station.get("pressure_pa", np.nan),
             fwhm_nm=station.get("fwhm_nm", np.nan),
+            ozone_du=station.get("ozone_du", np.nan),
+            sun_distance_au=station.get("sun_distance_au", np.nan),
+            made_by=found.made_by,
             response=found.response,
             direct_irradiance=direct,
             direct_sigma=direct_sigma,
             masked=masked,
+            reason=reason,
             # A file that skyfit wrote already carries its notes: each is said once.
             notes=tuple(dict.fromkeys(found.notes)),
             source=name,
@@ -130,17 +141,18 @@ def _signed(response):
 def screen(
     radiance: np.ndarray,
     sigma: np.ndarray | None,
-    suspect: np.ndarray | None,
+    stated: dict[str, np.ndarray],
     view_zenith_deg: np.ndarray,
     saturation: float | None = None,
     signed: bool = False,
-) -> tuple[np.ndarray, np.ndarray, dict[str, int]]:
+) -> tuple[np.ndarray, np.ndarray, dict[str, int], np.ndarray]:
     """Mask the samples that must not be used, and count them by the first reason that holds.
 
-    **Arguments** arrays [time, direction, wavelength]; `view_zenith_deg` [direction] or [time, direction];
-    `saturation`: the radiance at which the detector saturates, if known; `signed`: less than 0 is no error.
+    **Arguments** arrays [time, direction, wavelength]; `stated`: reasons of the file's own; `view_zenith_deg`
+    [direction] or [time, direction]; `saturation`: the radiance at which the detector saturates, if known; `signed`:
+    less than 0 is no error.
 
-    **Returns** radiance with NaN where not finite, `usable`, and the counts.
+    **Returns** radiance with NaN where not finite, `usable`, the counts, and of each sample which of them it is in.
     """
     radiance = np.array(radiance, dtype=np.float64)
     below = np.broadcast_to((view_zenith_deg > 90.0)[..., None], radiance.shape)
@@ -152,19 +164,19 @@ def screen(
             "below horizon": below,
             "saturated": _saturated(radiance, saturation),
         }
-        if suspect is not None:
-            reasons["suspect"] = suspect
+        reasons |= stated
         if sigma is not None:
             reasons["sigma not positive"] = ~((sigma > 0.0) & np.isfinite(sigma))
     usable = np.ones(radiance.shape, dtype=bool)
-    masked = {}
+    masked, which = {}, np.full(radiance.shape, -1, np.int8)
     for reason, where in reasons.items():
         count = int(np.count_nonzero(usable & where))
         if count:
+            which[usable & where] = len(masked)
             masked[reason] = count
         usable &= ~where
     radiance[~np.isfinite(radiance) | reasons["missing"]] = np.nan
-    return radiance, usable, masked
+    return radiance, usable, masked, which
 
 
 def _saturated(radiance, saturation):

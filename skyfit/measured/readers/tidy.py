@@ -1,17 +1,16 @@
 """Tidy CSV: one row is one sample."""
 
 import csv
-import re
 from collections.abc import Iterator
-from datetime import datetime, UTC
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from ..samples import Sky
-from ..units import RADIANCE, radiance_factor
 from .grid import Axis, by_time, fill, repeated
+from .header import Head, moment_of, quantity_of
+from .scale import scale_of
 from .screening import check_angles, Contents, screened
 
 
@@ -22,41 +21,31 @@ _EMPTY = {
     "radiance": np.nan,
     "sigma": np.nan,
     "suspect": 0.0,
-    **dict.fromkeys(("sun_zenith", "sun_azimuth", "latitude", "longitude"), np.nan),
+    **dict.fromkeys(("sun_zenith", "sun_azimuth"), np.nan),
     **dict.fromkeys(("direct_normal_irradiance", "direct_normal_irradiance_sigma"), np.nan),
 }
-_UNKNOWN = np.datetime64("NaT", "ns").astype(np.int64).item()
-_STATION = {
-    "latitude": "latitude",
-    "longitude": "longitude",
-    "altitude_m": "altitude_m",
-    "elevation_m": "altitude_m",
-    "pressure_pa": "pressure_pa",
-    "fwhm_nm": "fwhm_nm",
-}
-# Per row these say one thing per file
-_PER_FILE = ("latitude", "longitude")
-# and these one thing per time and wavelength
+# These say one thing per time and wavelength
 SUN = ("sun_zenith", "sun_azimuth")
 BEAM = ("direct_normal_irradiance", "direct_normal_irradiance_sigma")
+# a station that moves is none
+_OF_PLACE = ("latitude", "longitude")
 # A grid this large and this empty comes from samples that share no grid.
 _LARGEST_GRID = 20_000_000
 _EMPTIEST_GRID = 100
-# datetime holds microseconds: what is finer goes straight to NumPy.
-_NANOSECONDS = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d\.\d{7,9}[Zz]?")
 
 
-def read_tidy(path: Path, station: dict[str, float]) -> Sky:
+def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) -> Sky:
     """A tidy CSV of sky radiance as a `Sky`.
 
     **Arguments**
 
     - `path`: columns view_zenith, view_azimuth (degrees), wavelength (nm), radiance
-      (W m^-2 sr^-1 nm^-1), optionally time (ISO, UTC), sigma, suspect (1 = masked), latitude, longitude and, the same
+      (W m^-2 sr^-1 nm^-1), optionally time (ISO, UTC), sigma, suspect (1 = masked) and, the same
       in all rows of a time and wavelength, sun_zenith, sun_azimuth, direct_normal_irradiance and
-      direct_normal_irradiance_sigma (W m^-2 nm^-1); lines `# key: value` above carry latitude, longitude,
-      altitude_m, pressure_pa, fwhm_nm, saturation, units
-    - `station`: numbers that stand instead of the file's own, by name
+      direct_normal_irradiance_sigma (W m^-2 nm^-1); lines `# key: value` above, or columns of one value, carry
+      latitude, longitude, altitude_m, pressure_pa, fwhm_nm, ozone_du, sun_distance_au in the spellings and units that
+      `header` knows; lines alone units, saturation, notes, and time where no column does
+    - `station`: numbers that stand instead of the file's own, by name; `own_units`: those of channels, of any name
 
     **Returns** a `Sky`; directions are the union over times, with masked samples where absent, or those of each time
     where that would leave half of the union or more without samples: of an almucantar, which moves with the sun.
@@ -75,8 +64,11 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
     texts = dict(zip(header, zip(*cells, strict=True), strict=True))
     number = {key: _column(name, lines, key, texts[key], empty) for key, empty in _EMPTY.items() if key in texts}
     times, directions, wavelengths = Axis(), Axis(), Axis()
-    # Without a column `time` all samples are of one time, which is not known.
-    moments = _moments(name, lines, texts["time"]) if "time" in texts else [_UNKNOWN] * len(lines)
+    head = Head(name)
+    for line, text in comments:
+        head.line(f"row {line}, key", text)
+    # Without a column `time` all samples are of one time, known only if the head says it.
+    moments = _moments(name, lines, texts["time"]) if "time" in texts else [head.moment.astype(int).item()] * len(lines)
     angles = zip(number["view_zenith"].tolist(), number["view_azimuth"].tolist(), strict=True)
     index = np.array(
         [
@@ -96,18 +88,17 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
             f"{name}: rows {lines[twice[0]]} and {lines[twice[1]]}: expected each time, direction "
             "and wavelength once, found the same sample twice"
         )
-    numbers, factor, saturation, notes = _header_numbers(name, comments)
+    factor, converted, response = _units(head, len(wavelengths), own_units)
     sun, sun_rows = _sun(name, lines, number, index, shape)
-    for key in _PER_FILE:
-        if key in number:
-            place = _shared(name, lines, key, number[key], np.zeros_like(index[0]), "file")
-            if np.isfinite(place[0]):
-                numbers[key] = float(place[0])
+    of_file = _of_file(head, lines, texts)
     beam = [_per_band(name, lines, key, number, index, shape) for key in BEAM]
-    numbers.update(station)
-    unused = [key for key in header if key not in number and key != "time"]
-    if unused:
-        notes.append("columns not used: " + ", ".join(unused))
+    numbers = head.station | station
+    notes = head.notes + converted
+    unused = {
+        "columns": [key for key in header if key not in number and key not in of_file and key != "time"],
+        "header keys": head.unknown,
+    }
+    notes += [f"{what} not used: {', '.join(keys)}" for what, keys in unused.items() if keys]
     time = np.array(times.values(), dtype=np.int64).view("datetime64[ns]")
     order = np.argsort(time, kind="stable")
 
@@ -140,8 +131,10 @@ def read_tidy(path: Path, station: dict[str, float]) -> Sky:
             sun_zenith=sun[0][order],
             sun_azimuth=sun[1][order],
             station=numbers,
-            saturation=None if saturation is None else saturation * factor,
+            saturation=None if head.saturation is None else head.saturation * factor,
             notes=notes,
+            made_by=head.made_by,
+            response=response,
             rows={axis: rows.tolist() for axis, rows in first.items()},
         )
     )
@@ -277,15 +270,8 @@ def _moments(name, lines, texts):
 
 def _moment(name, line, text):
     try:
-        moment = datetime.fromisoformat(text)
-        if not 1678 < moment.year < 2262:
-            raise ValueError
-        if _NANOSECONDS.fullmatch(text):
-            return np.datetime64(text.rstrip("Zz"), "ns")
-        if moment.tzinfo is not None:
-            moment = moment.astimezone(UTC).replace(tzinfo=None)
-        return np.datetime64(moment, "ns")
-    except (ValueError, OverflowError):
+        return moment_of(text)
+    except ValueError:
         raise ValueError(
             f"{name}: row {line}, column `time`: expected an ISO time such as 2013-05-27T14:00:00Z, found {text[:60]!r}"
         ) from None
@@ -338,24 +324,31 @@ def _check_grid(name, shape, count):
         )
 
 
-def _header_numbers(name, comments):
-    """Station, factor of the units, saturation and notes from the `# key: value` lines."""
-    station, saturation, factor, notes = {}, None, 1.0, []
-    for line, text in comments:
-        key, colon, value = (part.strip() for part in text.partition(":"))
-        if not colon:
+def _of_file(head, lines, texts):
+    """The columns that say one thing of the station in all rows, which `head` takes."""
+    taken = []
+    for key in texts:
+        quantity = quantity_of(key)
+        if key in _EMPTY or quantity is None:
             continue
-        if key in _STATION:
-            station[_STATION[key]] = _number(name, line, key, value, None)
-        elif key == "saturation":
-            saturation = _number(name, line, key, value, None)
-        elif key == "units":
-            try:
-                factor = radiance_factor(value)
-            except ValueError as error:
-                raise ValueError(f"{name}: row {line}: {error}") from None
-            if factor != 1.0:
-                notes.append(f"radiance converted from {value} to {RADIANCE}")
-        elif key == "note":
-            notes.append(value)
-    return station, factor, saturation, notes
+        values = _column(head.name, lines, key, texts[key], np.nan)
+        if quantity[0] in _OF_PLACE:
+            _shared(head.name, lines, key, values, np.zeros(len(lines), int), "file")
+        first = values[0]
+        # a pressure of each row is not one of the file
+        if np.all((values == first) | np.isnan(values) & np.isnan(first)):
+            taken.append(key)
+            if np.isfinite(first):
+                head.number(f"row {lines[0]}, column", key, f"{float(first)!r}")
+    return taken
+
+
+def _units(head, channels, own):
+    """The factor of the units that a file says it has, a note where they are converted, and the eye's response."""
+    if head.units is None:
+        return 1.0, [], None
+    text, place = head.units
+    try:
+        return scale_of(text, channels, own)
+    except ValueError as error:
+        raise ValueError(f"{head.name}: {place}: {error}") from None

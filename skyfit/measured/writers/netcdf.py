@@ -1,12 +1,13 @@
 """NetCDF: time, direction, wavelength or channel."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 
 from ..readers.netcdf import AXES, BEAM
 from ..samples import Sky
-from ..units import IRRADIANCE, RADIANCE
+from ..units import IRRADIANCE, LUMINANCE, RADIANCE
 
 
 _PLACES = ("view_zenith", "view_azimuth")
@@ -27,8 +28,11 @@ def write_netcdf(sky: Sky, path: Path) -> None:
     views = [degrees(view[0] if sky.one_pattern else view) for view in (sky.view_zenith, sky.view_azimuth)]
     of_views = whole[:2][-views[0].ndim :]
     clockwise = {"units": "degree", "comment": "clockwise from north"}
+    by_unit = sky.response is not None and sky.response.by_unit
     light = (
-        {"units": RADIANCE, "long_name": "spectral radiance"}
+        {"units": LUMINANCE, "long_name": "luminance"}
+        if by_unit
+        else {"units": RADIANCE, "long_name": "spectral radiance"}
         if sky.response is None
         else {"long_name": "reading of the channel, the sum of response times spectral radiance"}
     )
@@ -51,7 +55,7 @@ def write_netcdf(sky: Sky, path: Path) -> None:
         about = {"units": IRRADIANCE, "long_name": f"standard deviation of {BEAM}"}
         variables[f"{BEAM}_sigma"] = (whole[::2], sky.direct_sigma, about)
     dimensions = dict(zip(whole, sky.radiance.shape, strict=True))
-    if sky.response is not None:
+    if sky.response is not None and not by_unit:
         about = {"long_name": f"weights of spectral radiance in {RADIANCE}, widths of the spectrum's steps included"}
         variables["response"] = (("channel", "spectrum"), sky.response.weight, about)
         variables["spectrum"] = (("spectrum",), sky.response.wavelength_nm, {"units": "nm"})
@@ -62,6 +66,8 @@ def write_netcdf(sky: Sky, path: Path) -> None:
         for name, variable in variables.items():
             _put(file, name, *variable, packed=variable[0] == whole)
         file.attrs.update(attributes(sky))
+        if sky.made_by:
+            file.attrs["made_by"] = json.dumps(sky.made_by)
         if sky.notes:
             file.attrs["notes"] = "\n".join(sky.notes)
 
@@ -91,7 +97,7 @@ def _moments(time: np.ndarray) -> tuple[np.ndarray, dict]:
 
 def axes(sky: Sky) -> tuple[str, str, str]:
     """The dimensions of a sky's samples in a file."""
-    return AXES if sky.response is None else (*AXES[:2], "channel")
+    return AXES if sky.response is None or sky.response.by_unit else (*AXES[:2], "channel")
 
 
 def degrees(radians: np.ndarray) -> np.ndarray:
@@ -107,5 +113,7 @@ def attributes(sky: Sky) -> dict[str, float]:
         "altitude_m": sky.altitude_m,
         "pressure_pa": sky.pressure_pa,
         "fwhm_nm": sky.fwhm_nm,
+        "ozone_du": sky.ozone_du,
+        "sun_distance_au": sky.sun_distance_au,
     }
     return {name: float(value) for name, value in values.items() if np.isfinite(value)}

@@ -1,13 +1,14 @@
 """Tidy CSV: one row is one sample."""
 
 import csv
+import json
 from pathlib import Path
 
 import numpy as np
 
 from ..readers.tidy import BEAM, REQUIRED, SUN
 from ..samples import Sky
-from ..units import RADIANCE
+from ..units import LUMINANCE, RADIANCE
 from .netcdf import attributes, degrees
 
 
@@ -18,7 +19,8 @@ def write_tidy(sky: Sky, path: Path) -> None:
 
     **Valid** times that are known and differ, unless there is one; directions that differ.
     """
-    if sky.response is not None:
+    by_unit = sky.response is not None and sky.response.by_unit
+    if sky.response is not None and not by_unit:
         raise ValueError("a CSV has no place for the response of channels: write NetCDF")
     timed = not (len(sky.time) == 1 and np.isnat(sky.time[0]))
     if timed and (np.any(np.isnat(sky.time)) or len(np.unique(sky.time)) < len(sky.time)):
@@ -41,7 +43,9 @@ def write_tidy(sky: Sky, path: Path) -> None:
     with open(path, "w", encoding="utf-8", newline="") as stream:
         for key, value in attributes(sky).items():
             stream.write(f"# {key}: {value!r}\n")
-        stream.write(f"# units: {RADIANCE}\n")
+        if sky.made_by:
+            stream.write(f"# made_by: {json.dumps(sky.made_by)}\n")
+        stream.write(f"# units: {LUMINANCE if by_unit else RADIANCE}\n")
         for note in sky.notes:
             stream.write(f"# note: {' '.join(note.split())}\n")
         writer = csv.writer(stream, lineterminator="\n")

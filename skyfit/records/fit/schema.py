@@ -11,7 +11,8 @@ r"""The form of a fit's JSON record, and the check that a file has it.
     instrument
       fwhm_nm             Gaussian line shape, null for none
       response            null, or names, wavelength_nm and weight [channel][wavelength]: the samples are channels
-    station               latitude_deg, longitude_deg, altitude_m, pressure_pa; null where unknown
+    station               latitude_deg, longitude_deg, altitude_m, pressure_pa, ozone_du, sun_distance_au
+                          (the last two not in older files); null where unknown
     atmosphere            where the fit began, as skyfit/atmosphere/description.py documents: constituents by name with
                           kind and every number, and ground; what is free has its first guess here
     measurement           relative, floor, calibration (null: by the file, else the default), model_error,

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from ...atmosphere import describe
-from ...measured import atomic, Sky, write_sky
+from ...measured import atomic, Sky, STATION_RANGES, write_sky
 from ...measured.units import RADIANCE
 from ...measured.writers import axes, degrees, write_netcdf
 from ...measured.writing import skyfit_version
@@ -21,7 +21,6 @@ from .schema import SCHEMA, VERSION
 def record_of(fit: Fit) -> dict:
     """The record of a fit, in Python's and NumPy's types; what is not finite stands as it is."""
     sky, solver, given = fit.sky, fit.solver, fit.measurement
-    station = ("latitude_deg", "longitude_deg", "altitude_m", "pressure_pa")
     common, optics = [p for p, name in enumerate(fit.free) if name in fit.shared], aerosol_optics(fit)
     return {
         "schema": SCHEMA,
@@ -31,7 +30,7 @@ def record_of(fit: Fit) -> dict:
         "solver": {"name": type(solver).__name__} | {f.name: getattr(solver, f.name) for f in fields(solver)},
         "geometry": solver.geometry,
         "instrument": {"fwhm_nm": fit.fwhm_nm, "response": _response(fit)},
-        "station": {name: getattr(sky, name) for name in station},
+        "station": {name: getattr(sky, name) for name in STATION_RANGES if name != "fwhm_nm"},
         "atmosphere": describe(fit.start.atmosphere),
         "measurement": {
             "relative": given.relative,

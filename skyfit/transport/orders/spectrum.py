@@ -33,7 +33,7 @@ class SpectralNodes(NamedTuple):
 def spectral_nodes(atmosphere: Atmosphere, scene: Scene, every_wavelength: bool) -> SpectralNodes | None:
     """How many wavelengths of a spectrum streams solve; None: each of the scene's.
 
-    Each, where that is no more, and where a constituent is known at the scene's wavelengths alone or absorbs in bands
+    Each, where that costs no more, and where a constituent is known at the scene's wavelengths alone or absorbs in bands
     low in the air, which coarse streams get wrong by per cents.
     """
     count = scene.wavelength_nm.shape[-1]
@@ -42,7 +42,8 @@ def spectral_nodes(atmosphere: Atmosphere, scene: Scene, every_wavelength: bool)
     if known is not None and known.size and (known > 0.0).all():
         black = min(max(_LEAST[0], math.ceil(_DENSITY * math.log(known.max() / known.min()))), _MOST[0])
         most = SpectralNodes(black, max(_LEAST[1], black // 2))
-    if every_wavelength or count <= sum(most) or not all(c.factors_out for c in atmosphere.constituents):
+    # coarse streams cost as much again
+    if every_wavelength or count <= 2 * sum(most) or not all(c.factors_out for c in atmosphere.constituents):
         return None
     return most
 

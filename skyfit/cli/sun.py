@@ -1,0 +1,44 @@
+"""The sun of a simulation: as its angles are given, or where time and place put it."""
+
+import numpy as np
+
+from ..measured import solar_position
+from ..measured.readers.header import moment_of
+from .options import in_range
+
+
+def sun_of(
+    zenith: float | None, azimuth: float | None, time: str | None, at: str | None, pressure: float, lowest: float
+) -> tuple[float, float, dict]:
+    """Zenith angle and azimuth in degrees, and what a `Sky` holds of time and place.
+
+    **Arguments:** the options as they are given; `lowest`, the largest zenith angle that the model takes.
+    """
+    moment = np.datetime64("NaT", "ns") if time is None else _moment(time)
+    about: dict = {"time": np.array([moment])}
+    if at is None:
+        if zenith is None:
+            raise ValueError("`--sun-zenith`, or `--time` and `--at`, must be given")
+        return in_range("--sun-zenith", zenith, 0.0, lowest), 180.0 if azimuth is None else azimuth, about
+    if time is None or zenith is not None or azimuth is not None:
+        raise ValueError("`--at` must come with `--time`, and without `--sun-zenith` and `--sun-azimuth`")
+    latitude, longitude = _place(at)
+    found = solar_position(about["time"], latitude, longitude, pressure=pressure)
+    zenith, azimuth = (round(float(np.degrees(angle[0])), 10) for angle in found)
+    in_range("--time and --at: sun zenith", zenith, 0.0, lowest)
+    return zenith, azimuth, about | {"latitude_deg": latitude, "longitude_deg": longitude}
+
+
+def _moment(text: str) -> np.datetime64:
+    try:
+        return moment_of(text.strip())
+    except ValueError:
+        raise ValueError(f"`--time` must be an ISO time in UTC such as 2013-05-27T14:00:00Z, got {text!r}") from None
+
+
+def _place(text: str) -> tuple[float, float]:
+    try:
+        latitude, longitude = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"`--at` must be LAT,LON in degrees, north and east positive, got {text!r}") from None
+    return in_range("--at latitude", latitude, -90.0, 90.0), in_range("--at longitude", longitude, -180.0, 360.0)

@@ -1,0 +1,27 @@
+"""Samples and times of a sky that a user leaves out."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from .quality.placed_sun import cosine_from_sun
+from .samples import Sky
+
+
+def mask_sun(sky: Sky, angle: float) -> Sky:
+    """The sky without its samples within an angle of the sun, counted as such among the masked.
+
+    **Arguments:** `angle`, radians, 0 to pi. **Returns:** a `Sky` whose other samples are as they were.
+    """
+    if not 0.0 <= angle <= np.pi:
+        raise ValueError(f"`angle` must be between 0 and pi rad, got {angle:g}")
+    sun = [one if one.ndim == 2 else one[:, None] for one in (sky.sun_zenith, sky.sun_azimuth)]
+    cosine = cosine_from_sun(sky.view_zenith[..., None], sky.view_azimuth[..., None], *(one[:, None] for one in sun))
+    near = np.broadcast_to(cosine > np.cos(angle), sky.usable.shape) & sky.usable
+    if not near.any():
+        return sky
+    counts = sky.masked | {f"within {np.degrees(angle):g} degrees of the sun": int(near.sum())}
+    known = np.full(sky.usable.shape, -1) if sky.reason is None else sky.reason
+    # without reasons of the others they are counted by their samples
+    reason = np.where(near, len(counts) - 1, known) if sky.reason is not None or not sky.masked else None
+    return replace(sky, usable=sky.usable & ~near, masked=counts, reason=reason)
