@@ -5,6 +5,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 
 import hypothesis
@@ -17,6 +18,11 @@ CACHE = "JAX_COMPILATION_CACHE_DIR"
 # memory maps of a process, of which Linux allows 65530: each program holds some fifty
 MOST_MAPS = 40_000
 MAPS = Path("/proc/self/maps")
+
+
+# as the command line does: compilation is most of the time of a test
+if version("jaxlib") == "0.10.2":
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false"
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 from . import invert, refit, simulate
@@ -10,6 +11,9 @@ from .options import app
 
 # importing a command registers it
 _COMMANDS = (simulate, refit, invert)
+# compiles in two thirds of the time to programs that run as fast. XLA ends the process over a flag that it does not
+# know, so this one is for the jaxlib that it was tried on
+_QUICK_TO_COMPILE, _TRIED_ON = "--xla_cpu_use_fusion_emitters=false", "0.10.2"
 
 
 def main() -> None:
@@ -23,6 +27,8 @@ def main() -> None:
         JAX_COMPILATION_CACHE_DIR=str(cache),
         JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0.2",
     )
+    if version("jaxlib") == _TRIED_ON and "xla_cpu_use_fusion_emitters" not in os.environ.get("XLA_FLAGS", ""):
+        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_QUICK_TO_COMPILE}".strip()
     try:
         app()
     except (ValueError, OSError) as error:

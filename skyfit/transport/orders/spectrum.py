@@ -33,8 +33,8 @@ class SpectralNodes(NamedTuple):
 def spectral_nodes(atmosphere: Atmosphere, scene: Scene, every_wavelength: bool) -> SpectralNodes | None:
     """How many wavelengths of a spectrum streams solve; None: each of the scene's.
 
-    Each, where that costs no more, and where a constituent is known at the scene's wavelengths alone or absorbs in bands
-    low in the air, which coarse streams get wrong by per cents.
+    Each, where that costs no more, and where a constituent is known at the scene's wavelengths alone or absorbs in
+    bands low in the air, which coarse streams get wrong by per cents.
     """
     count = scene.wavelength_nm.shape[-1]
     known = concrete(scene.wavelength_nm)
