@@ -45,7 +45,7 @@ def counted(solver: OrdersOfScattering, atmosphere: Atmosphere, directions: int,
     """
     d, w, n, layers, q = directions, wavelengths, solver.streams, solver.levels, solver.nodes
     few = solver.spectral_nodes
-    v = few if 0 < few < w and atmosphere.smooth_in_wavelength else w
+    v = w if few is None or not 0 < few < w else few + (few + 1) // 2
     count, modes = solver._resolution().for_phases(atmosphere.constituents)
     pairs = sum(max(count - m, 0) for m in range(modes))
     c, s = len(atmosphere.constituents), len(scatterer_indices(atmosphere.constituents))

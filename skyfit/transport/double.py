@@ -46,12 +46,12 @@ class DoubleScattering(AbstractSolver):
     modes: int = eqx.field(static=True, default=12)
     levels: int = eqx.field(static=True, default=30)
     nodes: int = eqx.field(static=True, default=24)
-    every_wavelength: bool = eqx.field(static=True, default=False)
+    spectral_nodes: int | None = eqx.field(static=True, default=None)
     geometry: Geometry = eqx.field(static=True, default="spherical")
 
     def __check_init__(self):
         check_geometry(self.geometry)
-        self._resolution(1).check(self.nodes)
+        self._resolution(1).check(self.nodes, self.spectral_nodes)
 
     @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "DoubleScattering":
@@ -66,7 +66,7 @@ class DoubleScattering(AbstractSolver):
     @classmethod
     def fine(cls, geometry: Geometry = "spherical") -> "DoubleScattering":
         """16 streams, every wavelength."""
-        return cls(streams=16, modes=24, levels=100, nodes=64, every_wavelength=True, geometry=geometry)
+        return cls(streams=16, modes=24, levels=100, nodes=64, spectral_nodes=0, geometry=geometry)
 
     @property
     def suns(self) -> Suns:
@@ -83,7 +83,7 @@ class DoubleScattering(AbstractSolver):
         """Sky radiance by the first two orders of scattering, W m^-2 sr^-1 nm^-1."""
         check_scene(self, atmosphere, scene)
         check_on_ground(scene, "DoubleScattering")
-        return self._light(atmosphere, scene, spectral_nodes(atmosphere, scene, self.every_wavelength))
+        return self._light(atmosphere, scene, spectral_nodes(atmosphere, scene, self.spectral_nodes))
 
     @eqx.filter_jit
     def _light(self, atmosphere: Atmosphere, scene: Scene, few: SpectralNodes | None):

@@ -47,11 +47,11 @@ class Resolution(NamedTuple):
             streams=min(self.streams, 6), modes=min(self.modes, 4), orders=min(self.orders, 4), polarised=False
         )
 
-    def check(self, nodes: int) -> None:
+    def check(self, nodes: int, spectral_nodes: int | None) -> None:
         """A `ValueError` for a count that is too small or modes that the streams cannot carry."""
         least = {"streams": 1, "modes": 1, "levels": 2, "orders": 1}
         counts = {name: (getattr(self, name), bound) for name, bound in least.items()}
-        counts["nodes"] = nodes, 1
+        counts |= {"nodes": (nodes, 1), "spectral_nodes": (0 if spectral_nodes is None else spectral_nodes, 0)}
         for name, (count, bound) in counts.items():
             if count < bound:
                 raise ValueError(f"`{name}` must be at least {bound}, got {count}")

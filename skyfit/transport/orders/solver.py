@@ -38,9 +38,9 @@ class OrdersOfScattering(AbstractSolver):
     diffusion after each of them, so that no light is lost however thick the haze and few the sweeps.
 
     `streams` per hemisphere; `modes` in azimuth; `levels` of the vertical grid, dense in haze; `orders`,
-    sweeps through it; `nodes` of the single-scattering integral; `every_wavelength`: multiple scattering is solved at
-    each wavelength of the scene. Otherwise long spectra are solved at a few and completed by coarse streams at all
-    (`spectrum.interpolated`), within 1e-3 from 300 to 1100 nm;
+    sweeps through it; `nodes` of the single-scattering integral; `spectral_nodes`, wavelengths at which
+    multiple scattering is solved over a black ground, and half as many over a lit one, where a spectrum has more;
+    coarse streams complete it (`spectrum.interpolated`). None: as many as keep it within 1e-3 from 300 to 1100 nm; 0: all;
     `geometry` "spherical": curved paths for beam and view, and diffuse streams that change their local angle
     from layer to layer, under a sun whose local zenith angle is the observer's for them; or "flat". `polarised`: with
     linear polarisation, in the radiance and for `stokes`: 1.2 times the scalar solver's time, its Jacobian 1.4 times.
@@ -64,13 +64,13 @@ class OrdersOfScattering(AbstractSolver):
     levels: int = eqx.field(static=True, default=24)
     orders: int = eqx.field(static=True, default=7)
     nodes: int = eqx.field(static=True, default=24)
-    every_wavelength: bool = eqx.field(static=True, default=False)
+    spectral_nodes: int | None = eqx.field(static=True, default=None)
     geometry: Geometry = eqx.field(static=True, default="spherical")
     polarised: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         check_geometry(self.geometry)
-        self._resolution().check(self.nodes)
+        self._resolution().check(self.nodes, self.spectral_nodes)
 
     @classmethod
     def draft(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
@@ -91,7 +91,7 @@ class OrdersOfScattering(AbstractSolver):
             levels=100,
             orders=12,
             nodes=64,
-            every_wavelength=True,
+            spectral_nodes=0,
             geometry=geometry,
             polarised=polarised,
         )
@@ -111,7 +111,7 @@ class OrdersOfScattering(AbstractSolver):
         """Sky radiance by all orders of scattering, W m^-2 sr^-1 nm^-1."""
         check_scene(self, atmosphere, scene)
         check_on_ground(scene, "OrdersOfScattering")
-        return self._light(atmosphere, scene, spectral_nodes(atmosphere, scene, self.every_wavelength), False)[0]
+        return self._light(atmosphere, scene, spectral_nodes(atmosphere, scene, self.spectral_nodes), False)[0]
 
     def stokes(self, atmosphere: Atmosphere, scene: Scene) -> Stokes:
         """Radiance and linear polarisation, W m^-2 sr^-1 nm^-1, of a solver with `polarised`.
@@ -124,7 +124,7 @@ class OrdersOfScattering(AbstractSolver):
             raise ValueError(
                 "`polarised` must be True for `stokes`, got False: OrdersOfScattering.normal(polarised=True)"
             )
-        return Stokes(*self._light(atmosphere, scene, spectral_nodes(atmosphere, scene, self.every_wavelength), True))
+        return Stokes(*self._light(atmosphere, scene, spectral_nodes(atmosphere, scene, self.spectral_nodes), True))
 
     @eqx.filter_jit
     def _light(self, atmosphere: Atmosphere, scene: Scene, few: SpectralNodes | None, stokes: bool):

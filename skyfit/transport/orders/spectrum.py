@@ -30,22 +30,25 @@ class SpectralNodes(NamedTuple):
     lit: int
 
 
-def spectral_nodes(atmosphere: Atmosphere, scene: Scene, every_wavelength: bool) -> SpectralNodes | None:
+def spectral_nodes(atmosphere: Atmosphere, scene: Scene, asked: int | None) -> SpectralNodes | None:
     """How many wavelengths of a spectrum streams solve; None: each of the scene's.
 
     Each, where that costs no more, and where a constituent is known at the scene's wavelengths alone or absorbs in
     bands low in the air, which coarse streams get wrong by per cents.
+
+    **Arguments:** `asked` for over a black ground, 0 for each, None for as many as the range of wavelengths needs.
     """
     count = scene.wavelength_nm.shape[-1]
-    known = concrete(scene.wavelength_nm)
-    most = SpectralNodes(*_MOST)
-    if known is not None and known.size and (known > 0.0).all():
-        black = min(max(_LEAST[0], math.ceil(_DENSITY * math.log(known.max() / known.min()))), _MOST[0])
-        most = SpectralNodes(black, max(_LEAST[1], black // 2))
-    # coarse streams cost as much again
-    if every_wavelength or count <= 2 * sum(most) or not all(c.factors_out for c in atmosphere.constituents):
+    if asked == 0 or not all(c.factors_out for c in atmosphere.constituents):
         return None
-    return most
+    if asked is not None:
+        return SpectralNodes(asked, (asked + 1) // 2) if asked < count else None
+    known, most = concrete(scene.wavelength_nm), SpectralNodes(*_MOST)
+    if known is not None and known.size:
+        black = min(max(_LEAST[0], math.ceil(_DENSITY * math.log(known.max() / known.min()))), _MOST[0])
+        most = SpectralNodes(black, black // 2)
+    # coarse streams cost as much again
+    return most if count > 2 * sum(most) else None
 
 
 def interpolated(
