@@ -66,8 +66,16 @@ def _times(fit: Fit) -> tuple[str, list[str]]:
 def _print_parameters(fit: Fit, t: int, places: list[int], title: str) -> None:
     values = table(title)
     for heading in ("parameter", "value", "sigma", "by model", "unit", "remarks"):
-        values.add_column(heading, justify="right" if heading in ("value", "sigma", "by model") else "left")
+        justify = "right" if heading in ("value", "sigma", "by model") else "left"
+        # what is too wide goes on in a second line of the remarks
+        values.add_column(heading, justify=justify, no_wrap=heading != "remarks")
+    lobes = fit.effective_asymmetry(t)
+    together = () if lobes is None else lobes.names
+    if lobes is not None and any(fit.free[p] in together for p in places):
+        values.add_row("effective_asymmetry", f"{lobes.value:.5g}", f"{lobes.sigma:.2g}", "", "1", "of both lobes")
     for p in places:
+        if fit.free[p] in together:
+            continue
         flags = ["at bound"] * bool(fit.at_bound[t, p]) + ["not determined"] * (not fit.determined[t, p])
         values.add_row(
             fit.free[p], f"{fit.values[t, p]:.5g}", f"{fit.sigma[t, p]:.2g}", f"{fit.model_sigma[t, p]:.2g}",

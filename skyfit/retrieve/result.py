@@ -1,6 +1,7 @@
 """What a fit of a sky ends with."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -100,6 +101,10 @@ class Fit:
         models = tuple(with_values(self.start, self.free, row) for row in self.values)
         return Fitted(self.sky.time, models, self.solver, self.fwhm_nm, self.fitted_nm, self.calibration, self.response)
 
+    def effective_asymmetry(self, t: int) -> "Together | None":
+        """The mean cosine of two lobes at 550 nm at a time at which the data determine it and not each of them."""
+        return effective_asymmetry(self.free, self.values[t], self.covariance[t], self.determined[t])
+
     @property
     def rejected(self) -> np.ndarray:
         """Directions that the loss trusts less than half on the mean over wavelengths, `[time, direction]`."""
@@ -126,7 +131,10 @@ class Fit:
                 f"{self.steps[t]} steps  rmse {1e3 * self.rmse[t]:.2f} mW m-2 sr-1 nm-1  "
                 f"reduced chi-square {self.reduced_chi_square[t]:.2f}"
             )
+            lobes = self.effective_asymmetry(t)
             for p, parameter in enumerate(self.free):
+                if lobes is not None and parameter in lobes.names:
+                    continue
                 flags = "  at bound" if self.at_bound[t, p] else ""
                 flags += "" if self.determined[t, p] else "  not determined"
                 lines.append(
@@ -155,6 +163,37 @@ def outliers(weight: np.ndarray) -> np.ndarray:
     return out & (out.sum(axis=-1) <= FEW * held.sum(axis=-1))[..., None]
 
 
+class Together(NamedTuple):
+    """A combination of parameters that is determined where they are not: value, sigma, and their names."""
+
+    value: float
+    sigma: float
+    names: tuple[str, ...]
+
+
+# the mean cosine of two lobes is that of each, weighted with its share
+_LOBES = ("asymmetry", "asymmetry_second", "forward_fraction")
+
+
+def effective_asymmetry(free: tuple[str, ...], values, covariance, determined) -> Together | None:
+    r"""$g = f g_1 + (1 - f) g_2$ of two free lobes; None where each is determined, or this is not.
+
+    **Arguments:** of one time, in the order of `free`. **Returns:** g with its sigma, and the parameters of the lobes.
+    """
+    if not set(_LOBES) <= set(free):
+        return None
+    places = [free.index(name) for name in _LOBES]
+    names = tuple(name for name in (*_LOBES, "forward_fraction_slope") if name in free)
+    first, second, share = values[places]
+    gradient = np.array([share, 1.0 - share, first - second])
+    variance = gradient @ covariance[np.ix_(places, places)] @ gradient
+    sigma = float(np.sqrt(variance)) if variance >= 0.0 else np.inf
+    known = is_determined(("asymmetry",), np.array([first]), np.array([sigma]))[0]
+    if all(determined[free.index(name)] for name in names) or not known:
+        return None
+    return Together(float(share * first + (1.0 - share) * second), sigma, names)
+
+
 # a parameter counts as determined if its sigma is below this share of its allowed range, or e-fold
 _DETERMINED_SHARE = 0.25
 # of a prior's sigma: what is not narrower than this was known before
@@ -177,9 +216,18 @@ def in_words(free: tuple[str, ...], found: dict, triangle: np.ndarray, priors: d
     directions.
     """
     sigma, at_bound, determined = found["sigma"], found["at_bound"], found["determined"]
+    lobes = effective_asymmetry(free, found["values"], found["covariance"], determined)
+    together = () if lobes is None else lobes.names
     sentences = [
-        f"{name} is not determined by these data" for name, yes in zip(free, determined, strict=True) if not yes
+        f"{name} is not determined by these data"
+        for name, yes in zip(free, determined, strict=True)
+        if not yes and name not in together
     ]
+    if lobes is not None:
+        sentences.append(
+            f"only a combination is determined of {', '.join(together)}: "
+            f"effective asymmetry {lobes.value:.4g} +- {lobes.sigma:.2g}"
+        )
     sentences += [
         f"{name} stands at its bound: the data would take it further, its sigma is only local"
         for name, yes in zip(free, at_bound, strict=True)
@@ -192,6 +240,6 @@ def in_words(free: tuple[str, ...], found: dict, triangle: np.ndarray, priors: d
         _, singular, rows = np.linalg.svd(triangle)
         for value, row in zip(singular, rows, strict=False):
             mixed = [free[i] for i in np.flatnonzero(np.abs(row) > _PART)]
-            if value < 1.0 / _DETERMINED_SHARE and len(mixed) > 1:
+            if value < 1.0 / _DETERMINED_SHARE and len(mixed) > 1 and not set(mixed) <= set(together):
                 sentences.append(f"only a combination is determined of {', '.join(mixed)}")
     return tuple(sentences)

@@ -109,10 +109,10 @@ def interpolated(
 
     spherical_albedo = (1.0 - _share(found_black[-1], found_lit[-1])) / _LIT
     albedo = atmosphere.ground.reflectance(wavelength)
-    lit_share = albedo * (1.0 - _LIT * spherical_albedo) / (_LIT * (1.0 - albedo * spherical_albedo))
+    lit_share = (albedo * (1.0 - _LIT * spherical_albedo) / (_LIT * (1.0 - albedo * spherical_albedo)))[None]
     black_stokes, lit_stokes = cut(_share(solved.light, solved.light[:1]), few.black, few.lit)
-    over_black = (1.0 - lit_share) * found_black[:-1] * spread(black_stokes, wavelength)
-    return over_black + lit_share * found_lit[:-1] * spread(lit_stokes, wavelength)
+    over_black = ((1.0 - lit_share) * found_black[:-1])[None] * spread(black_stokes, wavelength)
+    return over_black + (lit_share * found_lit[:-1])[None] * spread(lit_stokes, wavelength)
 
 
 def _share(part, whole):

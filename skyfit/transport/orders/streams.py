@@ -127,7 +127,7 @@ def relaxation(layers: Layers, resolution: Resolution, modes: int) -> Float[Arra
     weight = jnp.asarray(np.where(degree >= np.arange(modes)[:, None], 1.0, 0.0), dtype)
     weight = weight.at[0].set(jnp.asarray(np.where(degree == 2, 0.5, 0.0), dtype))
     thickness = jnp.sum(layers.depth, axis=0)
-    rho = jnp.max(weight[:, :, None] * moments[None], axis=1) * thickness / (thickness + _SPREAD)
+    rho = jnp.max(weight[:, :, None] * moments[None], axis=1) * (thickness / (thickness + _SPREAD))[None]
     scale, square = 2.0 / (2.0 - rho), (rho / (2.0 - rho)) ** 2
     over, steps = jnp.ones_like(rho), [jnp.stack([scale, jnp.zeros_like(rho)])]
     for order in range(1, resolution.orders):
