@@ -58,6 +58,11 @@ class Resolution(NamedTuple):
         if self.modes > 2 * self.streams:
             raise ValueError(f"`modes` must be at most 2 x `streams`, got {self.modes} for {self.streams}")
 
+    def carries_all(self, constituents: tuple[AbstractConstituent, ...]) -> bool:
+        """Whether streams have all moments of these phase functions, so that delta-M cuts nothing off."""
+        degrees = [c.phase.last_degree for c in constituents if c.phase is not None]
+        return all(degree is not None and degree < 2 * self.streams for degree in degrees)
+
     def for_phases(self, constituents: tuple[AbstractConstituent, ...]) -> tuple[int, int]:
         """Moments and modes that these phase functions need: four and three for air alone."""
         phases = [c.phase for c in constituents if c.phase is not None]

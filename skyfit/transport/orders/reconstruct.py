@@ -18,13 +18,14 @@ from .sweep import sloped
 
 
 class Multiple(NamedTuple):
-    """Light of second and higher orders toward an observer on the ground, and the flux of all light onto the ground.
+    """Light of second and higher orders toward an observer on the ground, fluxes of diffuse light and beam onto it.
 
-    Both per unit solar irradiance.
+    All per unit solar irradiance.
     """
 
     light: Float[Array, "stokes direction wavelength"]
-    ground_flux: Float[Array, " wavelength"]
+    diffuse: Float[Array, " wavelength"]
+    beam: Float[Array, " wavelength"]
 
 
 def multiple_scattering(
@@ -65,7 +66,7 @@ def multiple_scattering(
     airmass = layer_airmass(layers.height, cosine, resolution.geometry)
     light = jnp.stack([_seen(source, layers.depth, airmass) for source in sources])
     beam = jnp.maximum(jnp.cos(scene.sun_zenith), 0.0) * layers.beam[-1]
-    return Multiple(jnp.where(above_horizon(view.zenith)[None, :, None], light, 0.0), field.ground_flux + beam)
+    return Multiple(jnp.where(above_horizon(view.zenith)[None, :, None], light, 0.0), field.ground_flux, beam)
 
 
 @jax.custom_jvp

@@ -23,6 +23,7 @@ from ..contract import (
 )
 from ..optics import optics, scatterer_indices, transmitted_sun
 from ..single import single_scattering
+from .aureole import aureole_excess
 from .layering import Resolution, scaled_optics
 from .reconstruct import multiple_scattering
 from .spectrum import interpolated, spectral_nodes, SpectralNodes
@@ -177,6 +178,10 @@ def streamed_light(
         return jnp.zeros((3 if stokes else 1, scene.view.zenith.shape[0], wavelength.shape[0]))
     extinction = scaled_optics(constituents, wavelength, resolution).extinction
     single = single_scattering(constituents, scene, extinction, nodes, resolution.geometry, stokes)
+    if resolution.complete and not resolution.carries_all(constituents):
+        # a correction of the size of what it corrects is none
+        excess = jnp.clip(aureole_excess(atmosphere, scene, resolution), -0.5 * single[0], 0.5 * single[0])
+        single = jnp.concatenate([single[:1] - excess[None], single[1:]])
     if few is None:
         ground = atmosphere.ground.reflectance(wavelength)
         multiple = multiple_scattering(atmosphere, scene, wavelength, ground, resolution, stokes).light

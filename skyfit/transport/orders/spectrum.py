@@ -4,13 +4,14 @@ import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ...atmosphere import Atmosphere
 from ...numerics import chebyshev_nodes, chebyshev_weights, concrete
 from ...scene import Scene
 from .layering import Resolution
-from .reconstruct import multiple_scattering
+from .reconstruct import Multiple, multiple_scattering
 
 
 # albedo of the second ground at which streams solve; light over any other follows from the two
@@ -19,8 +20,12 @@ _LIT = 0.8
 _DENSITY = 11.1
 # over a black and a lit ground; where wavelengths are traced, as for 300 to 1100 nm
 _LEAST, _MOST = (4, 2), (16, 8)
-# sr^-1, per unit irradiance; what is darker counts as black
-_DARK = 1e-30
+# of the diffuse light's mean radiance: coarse streams may undershoot where there is little light
+_LEAST_SHARE = 1e-3
+# ratio of full to coarse streams; further apart, neither is right
+_FAR = 1e3
+# sr^-1, per unit irradiance; what is darker counts as black. Its square is still a float32
+_DARK = 1e-16
 
 
 class SpectralNodes(NamedTuple):
@@ -96,23 +101,48 @@ def interpolated(
         jnp.concatenate([jnp.zeros_like(every), jnp.full_like(every, _LIT)]),
         resolution.coarse(),
     )
-    # one field of positive numbers: the radiances, and the flux onto the ground as the last row
-    over_black, over_lit = cut(jnp.concatenate([solved.light[0], solved.ground_flux[None]]), few.black, few.lit)
+    reference = _positive(coarse)
     sizes = (*wavelength.shape, few.black, few.lit)
-    both = jnp.maximum(jnp.concatenate([coarse.light[0], coarse.ground_flux[None]]), _DARK)
-    dark, dark_black, dark_lit, bright, _, bright_lit = cut(both, *sizes, *sizes)
-    ratio = over_black / dark_black
+    dark, dark_black, dark_lit, bright, _, bright_lit = cut(reference, *sizes, *sizes)
+    over_black, over_lit = cut(jnp.concatenate([solved.light[0], _flux(solved)[None]]), few.black, few.lit)
+    ratio = _log_ratio(over_black, dark_black)
     # of what the ground adds the ratio is smoother still
-    more = _share(over_lit / bright_lit, spread(ratio, lit))
-    found_black = spread(ratio, wavelength) * dark
-    found_lit = spread(ratio, wavelength) * spread(more, wavelength) * bright
+    more = _log_ratio(over_lit, bright_lit) - spread(ratio, lit)
+    everywhere = spread(ratio, wavelength)
+    found_black = jnp.where(_any_light(over_black), dark * _exp(everywhere), 0.0)
+    found_lit = jnp.where(_any_light(over_lit), bright * _exp(everywhere + spread(more, wavelength)), 0.0)
 
     spherical_albedo = (1.0 - _share(found_black[-1], found_lit[-1])) / _LIT
     albedo = atmosphere.ground.reflectance(wavelength)
     lit_share = (albedo * (1.0 - _LIT * spherical_albedo) / (_LIT * (1.0 - albedo * spherical_albedo)))[None]
-    black_stokes, lit_stokes = cut(_share(solved.light, solved.light[:1]), few.black, few.lit)
-    over_black = ((1.0 - lit_share) * found_black[:-1])[None] * spread(black_stokes, wavelength)
-    return over_black + (lit_share * found_lit[:-1])[None] * spread(lit_stokes, wavelength)
+    lights = (1.0 - lit_share) * found_black[:-1], lit_share * found_lit[:-1]
+    # Q and U, over the radiance
+    shares = cut(_share(solved.light[1:], solved.light[:1]), few.black, few.lit)
+    polarised = lights[0][None] * spread(shares[0], wavelength) + lights[1][None] * spread(shares[1], wavelength)
+    return jnp.concatenate([(lights[0] + lights[1])[None], polarised])
+
+
+def _flux(found: Multiple):
+    return found.diffuse + found.beam
+
+
+def _positive(found: Multiple):
+    """Radiances and, as the last row, the flux onto the ground, none of them under a share of the diffuse light's."""
+    least = jnp.maximum(_LEAST_SHARE / np.pi * found.diffuse, _DARK)[None]
+    return jnp.maximum(jnp.concatenate([found.light[0], _flux(found)[None]]), least)
+
+
+def _any_light(found):
+    return jnp.any(found > _DARK, axis=-1, keepdims=True)
+
+
+def _log_ratio(found, reference):
+    return jnp.log(jnp.clip(found / reference, 1.0 / _FAR, _FAR))
+
+
+def _exp(ratio):
+    # what is interpolated between far ratios must not run away
+    return jnp.exp(jnp.clip(ratio, -math.log(_FAR), math.log(_FAR)))
 
 
 def _share(part, whole):

@@ -110,11 +110,11 @@ def solve(layers: Layers, diffuse: Callable | None, resolution: Resolution, mode
 def relaxation(layers: Layers, resolution: Resolution, modes: int) -> Float[Array, "order factor mode wavelength"]:
     r"""The weights of the residual and of the step before in each step of `solve`: Chebyshev's semi-iteration.
 
-    A sweep multiplies the missing light by eigenvalues between 0 and $\rho$. The weights make the largest value of
-    the polynomial in them as small as possible; a plain sum of orders leaves $\rho^n$. $\rho$ of an azimuthal mode is
-    the largest moment of the scattering that it carries times the share of light that stays in layers of that optical
-    depth; in the first mode, where diffusion follows each sweep, half the second moment stands for it. Without
-    `resolution.complete` the sweeps are plain, one order each.
+    A sweep multiplies the missing light by eigenvalues between 0 (or a negative moment's) and $\rho$. The weights make
+    the largest value of the polynomial in them as small as possible; a plain sum of orders leaves $\rho^n$. $\rho$ of
+    an azimuthal mode is the largest moment of the scattering that it carries times the share of light that stays in
+    layers of that optical depth. In the first mode, where diffusion follows each sweep, half the second moment stands
+    for it. Without `resolution.complete` the sweeps are plain, one order each.
 
     **Source:** Golub & Varga 1961, Numer. Math. 3, 147. The share: the largest eigenvalue of isotropic scattering in a
     slab, within 0.05.
@@ -123,13 +123,17 @@ def relaxation(layers: Layers, resolution: Resolution, modes: int) -> Float[Arra
     if not resolution.complete:
         return jnp.asarray(np.array([[[[1.0]], [[0.0]]]] * resolution.orders), dtype)
     degree = np.arange(count)
-    moments = jnp.max(jnp.abs(layers.moments), axis=1) / jnp.asarray(2.0 * degree + 1.0, dtype)[:, None]
-    weight = jnp.asarray(np.where(degree >= np.arange(modes)[:, None], 1.0, 0.0), dtype)
-    weight = weight.at[0].set(jnp.asarray(np.where(degree == 2, 0.5, 0.0), dtype))
+    moments = layers.moments / jnp.asarray(2.0 * degree + 1.0, dtype)[:, None, None]
+    carried = np.where(degree >= np.arange(modes)[:, None], 1.0, 0.0)
+    carried[0] = np.where(degree == 2, 0.5, 0.0)
+    carried = jnp.asarray(carried, dtype)[:, :, None]
+    # linear sources are no longer close to the light within layers that are thick themselves: plain sweeps there
     thickness = jnp.sum(layers.depth, axis=0)
-    rho = jnp.max(weight[:, :, None] * moments[None], axis=1) * (thickness / (thickness + _SPREAD))[None]
-    scale, square = 2.0 / (2.0 - rho), (rho / (2.0 - rho)) ** 2
-    over, steps = jnp.ones_like(rho), [jnp.stack([scale, jnp.zeros_like(rho)])]
+    stays = (thickness / (thickness + _SPREAD) / (1.0 + jnp.max(layers.depth, axis=0) ** 2))[None]
+    low = stays * jnp.min(carried * jnp.minimum(jnp.min(moments, axis=1), 0.0)[None], axis=1)
+    high = stays * jnp.max(carried * jnp.maximum(jnp.max(moments, axis=1), 0.0)[None], axis=1)
+    scale, square = 2.0 / (2.0 - low - high), ((high - low) / (2.0 - low - high)) ** 2
+    over, steps = jnp.ones_like(scale), [jnp.stack([scale, jnp.zeros_like(scale)])]
     for order in range(1, resolution.orders):
         over = 1.0 / (1.0 - (0.5 if order == 1 else 0.25) * square * over)
         steps.append(jnp.stack([over * scale, over - 1.0]))

@@ -1,0 +1,61 @@
+"""The aureole: what delta-M and exact single scattering count too much near the sun."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...atmosphere import Atmosphere
+from ...numerics import legendre_series, of_angle, phi_functions, safe_sqrt
+from ...scene import above_horizon, haversine, Scene
+from ..columns import slant_columns
+from ..optics import optics
+from .layering import Resolution
+
+
+# moments of the squared phase functions: those of asymmetry 0.95 have fallen to a thousandth
+_SQUARED = 64
+
+
+def aureole_excess(
+    atmosphere: Atmosphere, scene: Scene, resolution: Resolution
+) -> Float[Array, "direction wavelength"]:
+    r"""Light of the second order in the forward peak that is counted too much, per unit solar irradiance, sr^-1.
+
+    $\hat u = \frac{1}{4\pi} \frac{(\omega f)^2}{1 - \omega f} P''\, \chi$ with
+    $P'' = \sum_l (2l+1)(2\rho_l - \rho_l^2) P_l$, where $\rho_l$ is 1 for the moments that the streams carry and the
+    phase function's moment over f beyond, and
+    $\chi = \tau_v \tau_s \int_0^1 t\, e^{-\tau_v (1-t) - \tau_s t} dt$, $\tau_v$ along the view, $\tau_s$ that of the
+    sun times $1 - \omega f$. Optics are means over the column.
+
+    **Valid:** within ten degrees of the sun, where it is up to some per cent of the light; it dies away beyond.
+    **Source:** Nakajima & Tanaka 1988, JQSRT 40, 51, eq. 63 to 66.
+    """
+    constituents, wavelength = atmosphere.constituents, scene.wavelength_nm
+    depth, (count, _) = optics(constituents, wavelength), resolution.for_phases(constituents)
+    whole = jnp.sum(depth.extinction, axis=0)
+    share = depth.scattering / jnp.where(whole > 0.0, whole, 1.0)[None]
+    half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)
+    peaked = [(i, c.phase) for i, c in enumerate(constituents) if c.phase is not None and c.phase.last_degree is None]
+    value = sum(share[i][None] * phase.at_haversine(half, wavelength) for i, phase in peaked)
+    moments = jnp.sum(jnp.stack([share[i][None] * phase.moments(_SQUARED, wavelength) for i, phase in peaked]), axis=0)
+    degree = np.arange(_SQUARED)
+    peak = moments[count][None]
+    # none of a peak that is narrower than these moments tell
+    told = 1.0 - (moments[-1][None] / jnp.where(peak > 0.0, peak, 1.0)) ** 2
+    weight = jnp.asarray(2.0 * degree + 1.0, wavelength.dtype)[:, None]
+    carried = jnp.asarray(degree < count)[:, None]
+    angle = 2.0 * jnp.arctan2(safe_sqrt(half), safe_sqrt(1.0 - half))
+    series = jnp.where(carried, peak**2 - 2.0 * peak * moments, -(moments**2)) * weight
+    forward = of_angle(legendre_series(1, _SQUARED)[:, 0], angle).T @ series + 8.0 * np.pi * peak * value
+    profiles = [c.profile for c in constituents]
+    cosine = jnp.concatenate([jnp.cos(scene.sun_zenith)[None], jnp.maximum(jnp.cos(scene.view.zenith), 0.0)])
+    slant = slant_columns(profiles, jnp.zeros_like(cosine), cosine, resolution.geometry).T @ depth.extinction
+    sun, view = slant[:1] * (1.0 - peak), slant[1:]
+    between = jnp.abs(view - sun)
+    first, second = phi_functions(between)
+    reached = jnp.exp(-jnp.minimum(view, sun)) * jnp.where(view > sun, second, first - second)
+    excess = told * 0.25 / np.pi / (1.0 - peak) * forward * view * sun * reached
+    lit = above_horizon(scene.view.zenith)
+    if resolution.geometry == "flat":
+        lit = lit & (scene.sun_zenith < 0.5 * np.pi)
+    return jnp.where(lit[:, None], excess, 0.0)
