@@ -368,6 +368,27 @@ def test_what_is_printed_of_many_parameters_and_of_poor_ones(capsys):
     assert printed.count("asymmetry") == 6 and "each time" not in printed and narrow(printed)
 
 
+def test_lobes_that_are_known_together_alone_are_shown_by_their_mean(capsys):
+    """Two lobes over haze of one: none of the three numbers is determined, their mean cosine is to 0.001."""
+    fit = fit_of_made_sky()
+    free = ("asymmetry", "asymmetry_second", "forward_fraction", "aerosol_optical_depth")
+    values = np.array([[0.69, 0.67, 0.5, 0.2]] * len(fit.sky.time))
+    # the errors of the lobes and of their share cancel in the mean
+    wide, direction = np.diag([1e-6, 1e-6, 0.0, 1e-4]), np.array([[1.0, -1.0, 0.0, 0.0], [0.02, 0.0, -0.5, 0.0]])
+    covariance = np.stack([wide + 9.0 * direction.T @ direction] * len(values))
+    sigma = np.sqrt(np.einsum("tpp->tp", covariance))
+    determined = np.array([[False, False, False, True]] * len(values))
+    lobed = replace(
+        fit, free=free, shared=(), values=values, sigma=sigma, covariance=covariance, model_sigma=sigma,
+        at_bound=np.zeros_like(determined), determined=determined, undetermined=((),) * len(values),
+    )  # fmt: skip
+    found = lobed.effective_asymmetry(0)
+    assert found.names == free[:3] and found.value == pytest.approx(0.68)
+    assert found.sigma == pytest.approx(np.sqrt(0.5) * 1e-3, rel=1e-6)
+    assert "asymmetry_second" not in str(lobed)
+    assert replace(lobed, determined=np.ones_like(determined)).effective_asymmetry(0) is None
+
+
 def test_help_fits_a_narrow_window(skyfit_command, tmp_path):
     done = skyfit_command("--help", cwd=tmp_path)
     assert all(command in done.stdout for command in ("simulate", "refit", "invert", "predict"))

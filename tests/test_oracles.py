@@ -168,6 +168,48 @@ def test_fluxes_are_those_of_pythonic_disort(x64, depth, single_albedo, asymmetr
 
 
 @pytest.mark.parametrize(
+    "preset, depth, asymmetry, largest, near_sun",
+    [
+        ("draft", 3.0, 0.8, 0.015, 0.005),
+        ("normal", 2.0, 0.75, 0.001, 0.001),
+        ("normal", 3.0, 0.8, 0.005, 0.002),
+        ("normal", 3.0, 0.85, 0.02, 0.004),
+        pytest.param("fine", 1.0, 0.88, 0.003, 0.002, marks=pytest.mark.slow),
+    ],
+)
+def test_dust_has_the_radiance_of_pythonic_disort(x64, preset, depth, asymmetry, largest, near_sun):
+    """Thick haze with a forward peak: orders by tens, and the aureole, which the oracle corrects likewise."""
+    pydisort = pytest.importorskip("PythonicDISORT.pydisort", reason="PythonicDISORT is absent").pydisort
+    moments, mu, azimuth = asymmetry ** np.arange(600.0), 0.5, np.radians([0.0, 1.0, 2.0, 4.0, 7.0, 12.0, 40.0, 180.0])
+    nodes, *_, light = pydisort(
+        depth,
+        0.93,
+        48,
+        moments[None],
+        mu,
+        1.0,
+        0.0,
+        NLeg=48,
+        NFourier=48,
+        f_arr=moments[48],
+        NT_cor=True,
+        BDRF_Fourier_modes=[0.3],
+    )
+    seen = nodes < -0.08
+    zenith, turn = (v.ravel() for v in np.meshgrid(np.arccos(-nodes[seen]), azimuth, indexing="ij"))
+    expected = np.asarray(light(depth, azimuth))[seen].ravel()
+    haze = Prescribed(np.array([depth]), Exponential(8000.0), HenyeyGreenstein(asymmetry), 0.93)
+    scene = skyfit.Scene(np.arccos(mu), 0.0, skyfit.Directions(zenith, turn), np.array([550.0]), np.ones(1))
+    atmosphere = skyfit.Atmosphere(haze, None, None, Ground(0.3))
+    off = np.abs(
+        np.asarray(getattr(OrdersOfScattering, preset)("flat").radiance(atmosphere, scene))[:, 0] / expected - 1
+    )
+    angle = np.arccos(np.cos(zenith) * mu + np.sin(zenith) * np.sqrt(1.0 - mu**2) * np.cos(turn))
+    assert off.max() < largest
+    assert off[angle < np.radians(6.0)].max() < near_sun
+
+
+@pytest.mark.parametrize(
     "preset, depth, single_albedo, tolerance",
     [
         ("draft", 3.0, 1.0, 0.01),
