@@ -49,10 +49,11 @@ class OrdersOfScattering(AbstractSolver):
     linear polarisation, in the radiance and for `stokes`: 1.2 times the scalar solver's time, its Jacobian 1.4 times.
 
     **Valid:** flat: sun and view zenith to 85 degrees. Haze of optical depth 3 and asymmetry parameter 0.8 is within
-    0.4 % of DISORT with 48 streams, 0.85 within 1.3 %, haze of optical depth 1 and 0.88 within 2.2 % (`fine` 0.2 %; suns
-    at 40 and 60 degrees). Optical depth 50 is 2 % off (`normal`), more where little light is left. Spherical: sun and view zenith to 80 within 1 %
-    beyond the noise of the Monte Carlo, at 85 within 5 %, the sun at 89 within 10 %, in the median 3. Suns beyond
-    85 degrees (flat) and 90 (spherical) are a `ValueError`, the last five degrees of each a `LowSunWarning`.
+    0.4 % of DISORT with 48 streams, 0.85 within 1.3 %, haze of optical depth 1 and 0.88 within 2.2 % (`fine` 0.2 %;
+    suns at 40 and 60 degrees). Optical depth 50 is 2 % off (`normal`), more where little light is left.
+    Spherical: sun and view zenith to 80 within 1 % beyond the noise of the Monte Carlo, at 85 within 5 %, the sun at 89
+    within 10 %, in the median 3. Suns beyond 85 degrees (flat) and 90 (spherical) are a `ValueError`, the last five
+    degrees of each a `LowSunWarning`.
     All this is of scalar light. What polarisation does is missing from it: up to 8 % of a clear sky at 383 nm and 1.4 %
     at 710 nm, of either sign, 19 % in air of optical depth 1 under a low sun. `polarised`, flat: I, and Q and U over I,
     within 0.5 % (`fine` 0.02 %) of Natraj et al. 2009 for air of optical depths to 1, sun and view cosines from 0.1,
