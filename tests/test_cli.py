@@ -314,6 +314,17 @@ def test_the_options_of_invert_reach_the_fit(monkeypatch, tmp_path):
     assert usual["solver"] == skyfit.OrdersOfScattering.normal(polarised=True) and usual["draft"] is None
     assert usual["measurement"] == skyfit.NoiseModel() and usual["starts"] == 1
     assert usual["response"] is None and usual["priors"] == usual["smooth"] == {}
+    whole = skyfit.read(tmp_path / "two.nc")
+
+    def with_channels(count):
+        """The file with so many columns: a response is held to them when it is read."""
+        part = replace(
+            whole, radiance=whole.radiance[..., :count], usable=whole.usable[..., :count],
+            sigma=None if whole.sigma is None else whole.sigma[..., :count], wavelength_nm=whole.wavelength_nm[:count],
+        )  # fmt: skip
+        skyfit.write_sky(part, tmp_path / "two.nc")
+
+    with_channels(2)
     given = asked(
         monkeypatch, tmp_path, "--preset", "fine", "--field-of-view", "5", "--starts", "4", "--smooth", "asymmetry=0.1",
         "--smooth", "turbidity=0.3", "--free", "turbidity,asymmetry,ozone", "--response", "camera.csv",
@@ -332,6 +343,7 @@ def test_the_options_of_invert_reach_the_fit(monkeypatch, tmp_path):
         "asymmetry",
         "ground_albedo",
     )
+    with_channels(3)
     for name, kind in (("xyz", skyfit.Response.xyz()), ("srgb", skyfit.Response.linear_srgb())):
         np.testing.assert_array_equal(asked(monkeypatch, tmp_path, "--response", name)["response"].weight, kind.weight)
 
