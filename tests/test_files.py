@@ -119,7 +119,7 @@ def test_a_file_of_responses(tmp_path):
         ([(400, 1)], ["wavelength_nm", "a"], "and 1 rows"),
         ([(400, 1), (410, "x")], ["wavelength_nm", "a"], "row 3, column `a`"),
         ([(410, 1), (400, 1)], ["wavelength_nm", "a"], "increase"),
-        ([(0.4, 1), (0.5, 1)], ["wavelength_nm", "a"], "within 300-1100 nm"),
+        ([(0.4, 1), (0.5, 1)], ["wavelength_nm", "a"], "between 300 and 1100 nm"),
     ):
         with pytest.raises(ValueError, match=rf"^odd\.csv: .*{told}"):
             read_response(write_rows(tmp_path / "odd.csv", rows, header))

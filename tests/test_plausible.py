@@ -94,6 +94,8 @@ def test_the_measured_and_the_shipped_skies_raise_no_doubt(shared, checkout):
     assert len(scan.notes) == 2
 
 
+# flat air against flat air
+@pytest.mark.filterwarnings("ignore::skyfit.LowSunWarning")
 @pytest.mark.parametrize("sun", [10.0, 50.0, 85.0])
 def test_air_alone_is_single_scattering(sun):
     sky = simulated(sun)

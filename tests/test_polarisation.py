@@ -26,6 +26,8 @@ from skyfit.atmosphere import Exponential, Ground, HenyeyGreenstein, Ozone, Pres
 from skyfit.transport import Stokes
 
 
+# flat air against tables and solvers of flat air, under low suns too
+pytestmark = pytest.mark.filterwarnings("ignore::skyfit.LowSunWarning")
 # degrees, of the sun: only differences of azimuth may count
 SUN_AZIMUTH = 25.0
 # stand for Natraj's seven depths

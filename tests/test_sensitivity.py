@@ -136,7 +136,7 @@ def test_a_second_scene_compiles_nothing(caplog):
     counts = []
     for sun, depth in ((33.0, 0.2), (61.0, 0.5)):
         view = skyfit.hemisphere(31)
-        rotated = skyfit.Directions(view.zenith, view.azimuth + sun)
+        rotated = skyfit.Directions(view.zenith, view.azimuth + np.radians(sun))
         scene, atmosphere = scene_of(rotated, sun), atmosphere_of(aerosol_optical_depth=depth)
         caplog.clear()
         with caplog.at_level(logging.WARNING), jax.log_compiles():
