@@ -55,7 +55,7 @@ def _kept_share(residual: np.ndarray, inverse_sigma: np.ndarray, weight: np.ndar
     """Chi-square per sample without the outliers, by that of all samples; `[direction, wavelength]` each."""
     used = inverse_sigma > 0.0
     kept = used & ~outliers(weight)[:, None]
-    square = np.where(used, residual * inverse_sigma, 0.0) ** 2
+    square = (np.where(used, residual, 0.0) * inverse_sigma) ** 2
     whole = square.sum() / max(used.sum(), 1)
     return float(square[kept].sum() / max(kept.sum(), 1) / whole) if whole > 0.0 else 1.0
 
