@@ -91,7 +91,8 @@ def same(one, other, but=()):
 def test_each_time_is_as_if_inverted_alone(sky, fits, t):
     alone = skyfit.invert(sky.at(t), FREE, SOLVER)
     for name in ALONE:
-        np.testing.assert_allclose(getattr(fits, name)[t], getattr(alone, name)[0], rtol=1e-5, err_msg=name)
+        # two programs in float32: their sums differ in the last digits, and covariances are inverses of them
+        np.testing.assert_allclose(getattr(fits, name)[t], getattr(alone, name)[0], rtol=1e-4, err_msg=name)
     # as the instrument would read it, by another way
     assert fits.rmse[t] == pytest.approx(alone.rmse[0], rel=1e-4)
     assert fits.samples[t] == alone.used.sum() and fits.fixed == alone.fixed
