@@ -50,7 +50,7 @@ def test_skies_of_the_extended_form_are_met(monkeypatch):
     truth = ExtendedPreetham(jnp.asarray(np.where(np.indices(shipped.shape)[2:].sum(axis=0) > 0, 0.7, 1.0) * shipped))
     monkeypatch.setattr(module, "_simulate", simulated_by(truth))
     result = skyfit.refit(
-        skyfit.SingleScattering(6, "flat"), form="extended", directions=60, held_out=10,
+        skyfit.SingleScattering(6), form="extended", directions=60, held_out=10,
         sun_zenith_deg=np.linspace(0.0, 92.0, 12), turbidity=np.geomspace(1.0, 10.0, 7),
     )  # fmt: skip
     assert set(result.result.values()) == {"successful"}

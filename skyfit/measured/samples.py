@@ -83,19 +83,11 @@ class Sky:
     source: str = ""
 
     def __post_init__(self):
-        for name in (
-            "radiance",
-            "sigma",
-            "view_zenith",
-            "view_azimuth",
-            "wavelength_nm",
-            "sun_zenith",
-            "sun_azimuth",
-            "direct_irradiance",
-            "direct_sigma",
-        ):
+        optional = ("sigma", "direct_irradiance", "direct_sigma")
+        angles = ("view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth")
+        for name in ("radiance", "wavelength_nm", *angles, *optional):
             value = getattr(self, name)
-            if value is None and name in ("sigma", "direct_irradiance", "direct_sigma"):
+            if value is None and name in optional:
                 continue
             try:
                 value = np.asarray(value, dtype=np.float64)
