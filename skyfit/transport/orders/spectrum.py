@@ -16,7 +16,7 @@ from .reconstruct import Multiple, multiple_scattering
 
 # albedo of the second ground at which streams solve; light over any other follows from the two
 _LIT = 0.8
-# nodes over a black ground per unit of ln(wavelength): 8 from 380 to 780 nm, 16 from 300 to 1100 nm
+# nodes over a black ground per unit of ln(wavelength): 8 from 380 to 780 nm, 15 from 300 to 1100 nm
 _DENSITY = 11.1
 # over a black and a lit ground; where wavelengths are traced, as for 300 to 1100 nm
 _LEAST, _MOST = (4, 2), (16, 8)
