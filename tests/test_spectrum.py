@@ -57,7 +57,7 @@ def test_a_ground_given_at_each_wavelength_may_have_edges(x64):
 
 
 def test_how_many_wavelengths_are_solved():
-    """12 from 380 to 780 nm, 22 from 300 to 1100 nm (24 where wavelengths are traced); each where they are few or a gas has bands."""
+    """12 from 380 to 780 nm, 22 to 24 from 300 to 1100 nm; each where they are few or a gas has bands."""
     visible, wide = np.linspace(380.0, 780.0, 81), np.linspace(300.0, 1100.0, 801)
     assert spectral_nodes(HAZE(0.2), scene_of(visible), None) == SpectralNodes(8, 4)
     assert spectral_nodes(HAZE(0.2), scene_of(wide), None) == SpectralNodes(15, 7)
