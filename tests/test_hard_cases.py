@@ -240,3 +240,11 @@ def test_angles_below_a_microradian_do_not_matter(name):
     np.testing.assert_allclose(sky, sky[:1] * np.ones((3, 1), np.float32), rtol=2e-3)
     sky = compiled_sky(name, hazy(), 0.6, offset[:2], np.array([0.0, 2.0]))
     np.testing.assert_allclose(sky[0], sky[1], rtol=1e-4)
+
+
+def test_one_stream_in_pure_air_cuts_no_forward_peak_off():
+    """Delta-M cuts a moment of air off, but air has no aureole to correct."""
+    scene = unit_scene(40.0, views([0.0, 60.0], [0.0, 90.0]))
+    one = skyfit.OrdersOfScattering(1, 2, 8, 4, 8, geometry="flat").radiance(skyfit.Atmosphere(), scene)
+    whole = skyfit.OrdersOfScattering.draft("flat").radiance(skyfit.Atmosphere(), scene)
+    np.testing.assert_allclose(one, whole, rtol=0.2)

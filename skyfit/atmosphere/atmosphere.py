@@ -126,6 +126,11 @@ class Atmosphere(eqx.Module):
     def _absent(self, name: str) -> str:
         return f"this atmosphere has no `{name}`, only {', '.join(self.names) or 'its ground'}"
 
+    def check_wavelengths(self, wavelength_nm) -> None:
+        """A `ValueError` for wavelengths at which a constituent is not known; traced ones pass."""
+        for constituent in self.constituents:
+            constituent.check_wavelengths(wavelength_nm)
+
     @property
     def smooth_in_wavelength(self) -> bool:
         """Whether all optics may be asked for between the scene's wavelengths."""

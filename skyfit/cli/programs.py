@@ -28,9 +28,10 @@ def kept_radiance(
     **Valid:** a program holds for one state of skyfit's sources and of JAX, one backend, one solver, and one structure
     and shape of atmosphere and scene; its name says which.
     """
-    check_scene(solver, atmosphere, scene)
     if folder is None:
         return solver.radiance(atmosphere, scene)
+    # what is traced is not checked
+    check_scene(solver, atmosphere, scene)
     leaves, structure = jax.tree.flatten((atmosphere, scene))
     sources = _digest(sorted((str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in _sources()))
     shapes = [(leaf.shape, str(leaf.dtype)) for leaf in leaves]

@@ -11,13 +11,12 @@ from ..numerics import as_float
 from ..numerics.least_squares import result_name
 from .parameters import PARAMETERS, with_values
 from .prepared import Prepared
-from .result import Fit, in_words, is_determined, outliers
+from .result import Fit, in_words, is_determined, LOBES, outliers
 from .sampling import scale_at
 from .uncertainty import Estimate
 
 
 _WORDS = ("result", "undetermined")
-_LOBES = ("asymmetry", "asymmetry_second", "forward_fraction")
 
 
 def fit_of(asked: Prepared, groups: Sequence[np.ndarray], parts: Sequence[Estimate]) -> Fit:
@@ -126,11 +125,11 @@ def described_time(
 def _ordered_lobes(free: tuple[str, ...], shared: tuple[str, ...], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The values with the narrower lobe first, which is the same phase function, and the matrix of that change."""
     change = np.eye(len(free))
-    phase = set(free) & {*_LOBES, "forward_fraction_slope"}
+    phase = set(free) & {*LOBES, "forward_fraction_slope"}
     # lobes of which only one is shared cannot change places at some of the times
-    if not set(_LOBES) <= phase or phase & set(shared) not in (set(), phase):
+    if not set(LOBES) <= phase or phase & set(shared) not in (set(), phase):
         return values, change
-    first, second, share = (free.index(name) for name in _LOBES)
+    first, second, share = (free.index(name) for name in LOBES)
     if not values[first] < values[second]:
         return values, change
     change[[first, second]] = change[[second, first]]

@@ -172,7 +172,7 @@ class Together(NamedTuple):
 
 
 # the mean cosine of two lobes is that of each, weighted with its share
-_LOBES = ("asymmetry", "asymmetry_second", "forward_fraction")
+LOBES = ("asymmetry", "asymmetry_second", "forward_fraction")
 
 
 def effective_asymmetry(free: tuple[str, ...], values, covariance, determined) -> Together | None:
@@ -180,10 +180,10 @@ def effective_asymmetry(free: tuple[str, ...], values, covariance, determined) -
 
     **Arguments:** of one time, in the order of `free`. **Returns:** g with its sigma, and the parameters of the lobes.
     """
-    if not set(_LOBES) <= set(free):
+    if not set(LOBES) <= set(free):
         return None
-    places = [free.index(name) for name in _LOBES]
-    names = tuple(name for name in (*_LOBES, "forward_fraction_slope") if name in free)
+    places = [free.index(name) for name in LOBES]
+    names = tuple(name for name in (*LOBES, "forward_fraction_slope") if name in free)
     first, second, share = values[places]
     gradient = np.array([share, 1.0 - share, first - second])
     variance = gradient @ covariance[np.ix_(places, places)] @ gradient

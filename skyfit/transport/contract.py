@@ -150,8 +150,7 @@ def check_scene(solver: AbstractSolver, atmosphere: Atmosphere, scene: Scene) ->
 
     What is traced passes unseen.
     """
-    for constituent in atmosphere.constituents:
-        constituent.check_wavelengths(scene.wavelength_nm)
+    atmosphere.check_wavelengths(scene.wavelength_nm)
     lowest = solver.suns.largest_deg
     known = f"{type(solver).__name__}, {solver.geometry}: suns to {lowest:g} degrees"
     check_range("sun_zenith", scene.sun_zenith, 0.0, np.radians(lowest), "rad", known)

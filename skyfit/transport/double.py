@@ -2,9 +2,11 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..atmosphere import Atmosphere, Ground
+from ..numerics import within
 from ..scene import Scene
 from .contract import (
     AbstractSolver,
@@ -42,16 +44,16 @@ class DoubleScattering(AbstractSolver):
     Preetham 1999, sec. 3.2: "second order scattering", reflection by the ground neglected.
     """
 
-    streams: int = eqx.field(static=True, default=8)
-    modes: int = eqx.field(static=True, default=12)
-    levels: int = eqx.field(static=True, default=30)
-    nodes: int = eqx.field(static=True, default=24)
-    spectral_nodes: int | None = eqx.field(static=True, default=None)
+    streams: int = eqx.field(static=True, default=8, metadata=within(1.0, np.inf))
+    modes: int = eqx.field(static=True, default=12, metadata=within(1.0, np.inf))
+    levels: int = eqx.field(static=True, default=30, metadata=within(2.0, np.inf))
+    nodes: int = eqx.field(static=True, default=24, metadata=within(1.0, np.inf))
+    spectral_nodes: int | None = eqx.field(static=True, default=None, metadata=within(0.0, np.inf))
     geometry: Geometry = eqx.field(static=True, default="spherical")
 
     def __check_init__(self):
         check_geometry(self.geometry)
-        self._resolution(1).check(self.nodes, self.spectral_nodes)
+        self._resolution(1).check()
 
     @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "DoubleScattering":

@@ -137,8 +137,7 @@ def constant_ambient(
 
 def _check(atmosphere: Atmosphere, scene: Scene, distance) -> None:
     check_range("distance", distance, 0.0, np.inf, "m")
-    for constituent in atmosphere.constituents:
-        constituent.check_wavelengths(scene.wavelength_nm)
+    atmosphere.check_wavelengths(scene.wavelength_nm)
 
 
 def exponential_constituents(atmosphere: Atmosphere) -> tuple[AbstractConstituent, ...]:

@@ -9,7 +9,7 @@ from ...numerics import legendre_series, of_angle, phi_functions, safe_sqrt
 from ...scene import above_horizon, haversine, Scene
 from ..columns import slant_columns
 from ..optics import optics
-from .layering import Resolution
+from .layering import peaked, Resolution
 
 
 # moments of the squared phase functions: those of asymmetry 0.95 have fallen to a thousandth
@@ -35,9 +35,9 @@ def aureole_excess(
     whole = jnp.sum(depth.extinction, axis=0)
     share = depth.scattering / jnp.where(whole > 0.0, whole, 1.0)[None]
     half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)
-    peaked = [(i, c.phase) for i, c in enumerate(constituents) if c.phase is not None and c.phase.last_degree is None]
-    value = sum(share[i][None] * phase.at_haversine(half, wavelength) for i, phase in peaked)
-    moments = jnp.sum(jnp.stack([share[i][None] * phase.moments(_SQUARED, wavelength) for i, phase in peaked]), axis=0)
+    phases = peaked(constituents)
+    value = sum(share[i][None] * phase.at_haversine(half, wavelength) for i, phase in phases)
+    moments = jnp.sum(jnp.stack([share[i][None] * phase.moments(_SQUARED, wavelength) for i, phase in phases]), axis=0)
     degree = np.arange(_SQUARED)
     peak = moments[count][None]
     # none of a peak that is narrower than these moments tell

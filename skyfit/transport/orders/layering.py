@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...atmosphere import AbstractConstituent, Atmosphere
+from ...atmosphere import AbstractConstituent, AbstractPhase, Atmosphere
 from ...scene import Scene
 from ..columns import slant_columns, sunlit, TOP_OF_AIR
 from ..contract import Geometry
@@ -47,30 +47,24 @@ class Resolution(NamedTuple):
             streams=min(self.streams, 6), modes=min(self.modes, 4), orders=min(self.orders, 4), polarised=False
         )
 
-    def check(self, nodes: int, spectral_nodes: int | None) -> None:
-        """A `ValueError` for a count that is too small or modes that the streams cannot carry."""
-        least = {"streams": 1, "modes": 1, "levels": 2, "orders": 1}
-        counts = {name: (getattr(self, name), bound) for name, bound in least.items()}
-        counts |= {"nodes": (nodes, 1), "spectral_nodes": (0 if spectral_nodes is None else spectral_nodes, 0)}
-        for name, (count, bound) in counts.items():
-            if count < bound:
-                raise ValueError(f"`{name}` must be at least {bound}, got {count}")
-        if self.modes > 2 * self.streams:
+    def check(self) -> None:
+        """A `ValueError` for modes that the streams cannot carry."""
+        # no stream at all is refused by its own range
+        if self.streams >= 1 and self.modes > 2 * self.streams:
             raise ValueError(f"`modes` must be at most 2 x `streams`, got {self.modes} for {self.streams}")
-
-    def carries_all(self, constituents: tuple[AbstractConstituent, ...]) -> bool:
-        """Whether streams have all moments of these phase functions, so that delta-M cuts nothing off."""
-        degrees = [c.phase.last_degree for c in constituents if c.phase is not None]
-        return all(degree is not None and degree < 2 * self.streams for degree in degrees)
 
     def for_phases(self, constituents: tuple[AbstractConstituent, ...]) -> tuple[int, int]:
         """Moments and modes that these phase functions need: four and three for air alone."""
-        phases = [c.phase for c in constituents if c.phase is not None]
-        degrees = [phase.last_degree for phase in phases if phase.last_degree is not None]
-        if len(degrees) < len(phases):
+        if peaked(constituents):
             return 2 * self.streams, self.modes
-        last = max(degrees)
+        last = max(c.phase.last_degree or 0 for c in constituents if c.phase is not None)
         return min(2 * self.streams, 2 * (last // 2 + 1)), min(self.modes, last + 1)
+
+
+def peaked(constituents: tuple[AbstractConstituent, ...]) -> list[tuple[int, AbstractPhase]]:
+    """Places and phase functions of the constituents whose moments go on: delta-M cuts a forward peak off them."""
+    phases = enumerate(c.phase for c in constituents)
+    return [(i, phase) for i, phase in phases if phase is not None and phase.last_degree is None]
 
 
 class Few(NamedTuple):

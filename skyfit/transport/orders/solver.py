@@ -2,9 +2,11 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ...atmosphere import Atmosphere
+from ...numerics import within
 from ...scene import Scene
 from ..contract import (
     AbstractSolver,
@@ -24,7 +26,7 @@ from ..contract import (
 from ..optics import optics, scatterer_indices, transmitted_sun
 from ..single import single_scattering
 from .aureole import aureole_excess
-from .layering import Resolution, scaled_optics
+from .layering import peaked, Resolution, scaled_optics
 from .reconstruct import multiple_scattering
 from .spectrum import interpolated, spectral_nodes, SpectralNodes
 from .streams import diffuse_field
@@ -63,18 +65,18 @@ class OrdersOfScattering(AbstractSolver):
     Lenoble et al. 2007, JQSRT 107, 479 (successive orders).
     """
 
-    streams: int = eqx.field(static=True, default=8)
-    modes: int = eqx.field(static=True, default=16)
-    levels: int = eqx.field(static=True, default=24)
-    orders: int = eqx.field(static=True, default=7)
-    nodes: int = eqx.field(static=True, default=24)
-    spectral_nodes: int | None = eqx.field(static=True, default=None)
+    streams: int = eqx.field(static=True, default=8, metadata=within(1.0, np.inf))
+    modes: int = eqx.field(static=True, default=16, metadata=within(1.0, np.inf))
+    levels: int = eqx.field(static=True, default=24, metadata=within(2.0, np.inf))
+    orders: int = eqx.field(static=True, default=7, metadata=within(1.0, np.inf))
+    nodes: int = eqx.field(static=True, default=24, metadata=within(1.0, np.inf))
+    spectral_nodes: int | None = eqx.field(static=True, default=None, metadata=within(0.0, np.inf))
     geometry: Geometry = eqx.field(static=True, default="spherical")
     polarised: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         check_geometry(self.geometry)
-        self._resolution().check(self.nodes, self.spectral_nodes)
+        self._resolution().check()
 
     @classmethod
     def draft(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
@@ -180,7 +182,7 @@ def streamed_light(
         return jnp.zeros((3 if stokes else 1, scene.view.zenith.shape[0], wavelength.shape[0]))
     extinction = scaled_optics(constituents, wavelength, resolution).extinction
     single = single_scattering(constituents, scene, extinction, nodes, resolution.geometry, stokes)
-    if resolution.complete and not resolution.carries_all(constituents):
+    if resolution.complete and peaked(constituents):
         # a correction of the size of what it corrects is none
         excess = jnp.clip(aureole_excess(atmosphere, scene, resolution), -0.5 * single[0], 0.5 * single[0])
         single = jnp.concatenate([single[:1] - excess[None], single[1:]])

@@ -18,8 +18,8 @@ from .reconstruct import Multiple, multiple_scattering
 _LIT = 0.8
 # nodes over a black ground per unit of ln(wavelength), less one: 8 from 380 to 780 nm, 16 from 300 to 1100 nm
 _DENSITY = 12.5
-# over a black and a lit ground; where wavelengths are traced, as for 300 to 1100 nm
-_LEAST, _MOST = (4, 2), (16, 8)
+# over a black ground; over a black and a lit one, where wavelengths are traced, as for 300 to 1100 nm
+_LEAST, _MOST = 4, (16, 8)
 # of the diffuse light's mean radiance: coarse streams may undershoot where there is little light
 _LEAST_SHARE = 1e-3
 # ratio of full to coarse streams; further apart, neither is right
@@ -50,7 +50,7 @@ def spectral_nodes(atmosphere: Atmosphere, scene: Scene, asked: int | None) -> S
         return SpectralNodes(asked, (asked + 1) // 2) if asked < count else None
     known, most = concrete(scene.wavelength_nm), SpectralNodes(*_MOST)
     if known is not None and known.size:
-        black = min(max(_LEAST[0], math.ceil(_DENSITY * math.log(known.max() / known.min()) - 1.0)), _MOST[0])
+        black = min(max(_LEAST, math.ceil(_DENSITY * math.log(known.max() / known.min()) - 1.0)), _MOST[0])
         most = SpectralNodes(black, black // 2)
     # coarse streams cost as much again
     return most if count > 2 * sum(most) else None
