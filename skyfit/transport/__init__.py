@@ -19,5 +19,6 @@ from .orders import OrdersOfScattering as OrdersOfScattering
 from .registry import SOLVERS as SOLVERS
 from .shells import Shells as Shells
 from .single import SingleScattering as SingleScattering
+from .spherical import Spherical as Spherical, SphericalField as SphericalField
 from .uniform import Uniform as Uniform
 from .upsample import upsample as upsample, Upsampled as Upsampled
