@@ -97,6 +97,8 @@ from .transport import (
     scattered_light as scattered_light,
     Shells as Shells,
     SingleScattering as SingleScattering,
+    Spherical as Spherical,
+    SphericalField as SphericalField,
     Stokes as Stokes,
     Uniform as Uniform,
     upsample as upsample,

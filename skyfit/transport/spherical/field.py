@@ -12,12 +12,12 @@ from ...scene import above_horizon, Scene
 from ..columns import EARTH_RADIUS, length_scale
 from ..contract import Irradiances, Path
 from ..optics import optics, scatterer_indices, transmitted_sun
-from ..single import single_scattering, single_scattering_of
+from ..single import single_scattering_of
 from ..views import end_points, eye_columns, Points, points_at, Views, views_of
 from . import harmonics as sun_harmonics
 from .first import sun_on_ground
 from .grid import cubic, cubic_weights, dusk, height_coordinate, NEAR_CLIMB, Resolution, sun_coordinate
-from .medium import Medium, medium_of
+from .medium import completed, Medium, medium_of
 from .transfer import Solution
 
 
@@ -82,9 +82,7 @@ class SphericalField(eqx.Module):
         """`radiance` per unit solar irradiance, sr^-1."""
         medium = medium_of(self.atmosphere, self.wavelength_nm, self.resolution.moments)
         views = views_of(scene, "spherical")
-        nodes = self.resolution.once_nodes
-        (once,) = single_scattering(self.atmosphere.constituents, scene, medium.extinction, nodes, "spherical")
-        light = once + _multiple(self, medium, scene, views) + _ground(self, medium, scene, views)
+        light = self._scattered(medium, scene, views) + _ground(self, medium, scene, views)
         seen = views.aloft | above_horizon(scene.view.zenith)
         return jnp.where(seen[:, None], light, 0.0)
 
@@ -95,10 +93,16 @@ class SphericalField(eqx.Module):
         views = views_of(scene, "spherical", distance)
         columns = eye_columns([c.profile for c in constituents], views, end_points(views, "spherical"), "spherical")
         depth = columns[..., 0].T @ optics(constituents, self.wavelength_nm).extinction
+        return Path(jnp.exp(-depth), self._scattered(medium, scene, views) * scene.solar_irradiance[None])
+
+    def _scattered(self, medium: Medium, scene: Scene, views: Views) -> Float[Array, "direction wavelength"]:
+        """All orders of scattering along views, per unit solar irradiance, sr^-1."""
+        constituents = self.atmosphere.constituents
+        if not scatterer_indices(constituents):
+            return jnp.zeros((views.cosine.shape[0], *self.wavelength_nm.shape), views.cosine.dtype)
         nodes = self.resolution.once_nodes
-        once = single_scattering_of(constituents, scene, medium.extinction, nodes, "spherical", views)[0]
-        inscatter = (once + _multiple(self, medium, scene, views)) * scene.solar_irradiance[None]
-        return Path(jnp.exp(-depth), inscatter)
+        (once,) = single_scattering_of(constituents, scene, medium.extinction, nodes, "spherical", views)
+        return once + _multiple(self, medium, scene, views)
 
     @eqx.filter_jit
     def _fluxes(self, scene: Scene) -> Irradiances:
@@ -131,22 +135,25 @@ def _multiple(
     names = sun_harmonics.kept(resolution.moments, bool(medium.peaks))
     travelling = sun_harmonics.travelling(names)
     degree = np.array([pair[0] for pair in names])
-    share = sun_harmonics.weights(names)
+    share = as_float(sun_harmonics.weights(names))
     distance, points, emitted = _emitters(field, medium, views, resolution.view_nodes)
     frame = _Frame.of(scene, views)
     where = frame.at(distance)
     zenith = jnp.arctan2(jnp.hypot(where[1], where[2]), where[0])
     view = (v[:, None] for v in (frame.along, frame.out, frame.aside))
     basis = sun_harmonics.carried(names, *view, *where[1:])
-    mixed = [sum(e * medium.moments[low, k] for k, e in enumerate(emitted)) for low in range(sun_harmonics.TRAVELLING)]
+    mixed = [
+        sum(e * medium.moments[low, k][None, None] for k, e in enumerate(emitted))
+        for low in range(sun_harmonics.TRAVELLING)
+    ]
     place = sun_coordinate(zenith, resolution.sun_step) - field.sun_place[0]
     first, suns = cubic(place, field.sun_place.shape[0])
     level, rows = cubic(height_coordinate(points.height, resolution.levels), resolution.levels)
     table = field.solution.moments[:, :, :travelling]
     weight = jnp.stack([across * up for across in suns for up in rows]) * dusk(zenith)[None]
-    factor = jnp.stack(basis, axis=-1) * share[:travelling]
-    # scatterers mixed for each harmonic that travels
-    mixed = jnp.stack(mixed)[degree[:travelling]]
+    factor = jnp.stack(basis, axis=-1) * share[None, None, :travelling]
+    # for each harmonic that travels
+    mixed = mixed[degree[:travelling]]
 
     def corner(light, at):
         here = table[level + at[0], first + at[1]]
@@ -185,7 +192,7 @@ def _ground(field: SphericalField, medium: Medium, scene: Scene, views: Views) -
     lit = lit + field._suns(jnp.arccos(jnp.clip(cosine, -1.0, 1.0))) @ field.solution.ground
     # a view that meets the ground falls all the way to it
     meets = (ends.view_cosine[:, 0] < 0.0) & (ends.height[:, 0] < 1.0)
-    return jnp.where(meets[:, None], medium.albedo / np.pi * lit * jnp.exp(-depth), 0.0)
+    return jnp.where(meets[:, None], (medium.albedo / np.pi)[None] * lit * jnp.exp(-depth), 0.0)
 
 
 class _Frame(eqx.Module):
@@ -224,11 +231,12 @@ def _emitters(field: SphericalField, medium: Medium, views: Views, count: int):
     column = jnp.einsum("cdn,cw->dnw", eye_columns(profiles, views, every, "spherical"), medium.extinction)
     density = jnp.stack([p.density(points.height) for p in profiles])
     weight = jnp.exp(-column[:, :-1]) * step[..., None]
-    found = jnp.einsum("dnw,cdn,cw->dw", weight, density, medium.extinction)
-    some = found > _LEAST
-    weight = weight * jnp.where(some, -jnp.expm1(-column[:, -1]) / jnp.where(some, found, 1.0), 0.0)[:, None]
+    extinction = jnp.einsum("cdn,cw->dnw", density, medium.extinction)
+    scale, missing = completed(-jnp.expm1(-column[:, -1]), jnp.sum(weight * extinction, axis=1))
+    near = (jnp.arange(distance.shape[1])[None] == jnp.argmin(distance, axis=1)[:, None])[..., None]
+    weight = weight * scale[:, None] + jnp.where(near, missing[:, None] / jnp.maximum(extinction, _LEAST), 0.0)
     scatterers = scatterer_indices(field.atmosphere.constituents)
-    emitted = [weight * density[i][..., None] * medium.scattering[k] for k, i in enumerate(scatterers)]
+    emitted = [weight * density[i][..., None] * medium.scattering[k][None, None] for k, i in enumerate(scatterers)]
     return distance, points, emitted
 
 

@@ -68,7 +68,7 @@ def first_order(
         light = jnp.sum(integral * phase * medium.scattering[None, None, None], axis=3)
         to_sun = 1.0 - 2.0 * half[:, -grounded:]
         lit = sun_on_ground(atmosphere, medium.extinction, (radius * jnp.cos(sun) + to_ground * to_sun) / EARTH_RADIUS)
-        return light.at[:, -grounded:].add(medium.albedo / np.pi * lit * passed[:, :, None])
+        return light.at[:, -grounded:].add((medium.albedo / np.pi)[None, None, None] * lit * passed[:, :, None])
 
     return jax.lax.map(under, sun_zenith, batch_size=4)
 

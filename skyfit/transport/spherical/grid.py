@@ -3,9 +3,10 @@
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from ...numerics import gauss_legendre
 from ..columns import EARTH_RADIUS, TOP_OF_AIR
@@ -40,8 +41,8 @@ class Rays(NamedTuple):
 
     `zenith_cosine` and `solid_angle` (over all azimuths, sr) `[level, zenith]`, the last `grounded` of which meet the
     ground. Nodes `[level, node]`: `height` (m), `cosine` of the zenith angle there, `distance` from the level and
-    `step` (m); `ray`, the zenith that a node belongs to, `[node]`. `length` (m) of each ray, `end_height` (m) and
-    `end_cosine` where it ends, `[level, zenith]`.
+    `step` (m), `between`, weights of the levels there `[level, node, other level]`; `ray`, the zenith that a node
+    belongs to, `[node]`. `length` (m) of each ray, `end_height` (m) and `end_cosine` where it ends, `[level, zenith]`.
     """
 
     level: np.ndarray
@@ -52,6 +53,7 @@ class Rays(NamedTuple):
     cosine: np.ndarray
     distance: np.ndarray
     step: np.ndarray
+    between: np.ndarray
     ray: np.ndarray
     length: np.ndarray
     end_height: np.ndarray
@@ -64,16 +66,18 @@ def level_heights(levels: int) -> np.ndarray:
     return _NEAR * np.expm1(math.log1p(TOP_OF_AIR / _NEAR) * x**_POWER)
 
 
-def height_coordinate(height: Float[Array, "..."], levels: int) -> Float[Array, "..."]:
+def height_coordinate(height: Float[Array | np.ndarray, "..."], levels: int) -> Float[Array | np.ndarray, "..."]:
     """The place of heights (m) among the levels, 0 to `levels` - 1."""
-    share = jnp.log1p(jnp.clip(height, 1e-3, TOP_OF_AIR) / _NEAR) / math.log1p(TOP_OF_AIR / _NEAR)
+    xp = _library(height)
+    share = xp.log1p(xp.clip(height, 1e-3, TOP_OF_AIR) / _NEAR) / math.log1p(TOP_OF_AIR / _NEAR)
     return (levels - 1) * share ** (1.0 / _POWER)
 
 
-def sun_coordinate(zenith: Float[Array, "..."], step: float) -> Float[Array, "..."]:
+def sun_coordinate(zenith: Float[Array | np.ndarray, "..."], step: float) -> Float[Array | np.ndarray, "..."]:
     """The place of a sun's zenith angle (rad) on the axis on which suns are `step` degrees apart in twilight."""
-    above = (jnp.rad2deg(zenith) - _EVEN_ABOVE) / step
-    return jnp.where(above > 0.0, above, -jnp.log1p(_WIDER * jnp.maximum(-above, 0.0)) / _WIDER)
+    xp = _library(zenith)
+    above = (xp.rad2deg(zenith) - _EVEN_ABOVE) / step
+    return xp.where(above > 0.0, above, -xp.log1p(_WIDER * xp.maximum(-above, 0.0)) / _WIDER)
 
 
 def sun_at(place: Float[Array, "..."], step: float) -> Float[Array, "..."]:
@@ -87,23 +91,29 @@ def dusk(zenith: Float[Array, "..."]) -> Float[Array, "..."]:
     return jnp.exp(-_FALL * _SOFT * jnp.logaddexp(0.0, (jnp.rad2deg(zenith) - _DUSK) / _SOFT))
 
 
-def cubic(place: Float[Array, "..."], count: int) -> tuple[Int[Array, "..."], tuple[Float[Array, "..."], ...]]:
+def cubic(place: Float[Array | np.ndarray, "..."], count: int):
     """The first of four even nodes around a place and their weights (Lagrange); the end's value beyond the ends."""
-    inside = jnp.clip(place, 0.0, count - 1.0)
-    first = jnp.clip(jnp.floor(inside).astype(jnp.int32) - 1, 0, count - 4)
+    xp = _library(place)
+    inside = xp.clip(place, 0.0, count - 1.0)
+    first = xp.clip(xp.floor(inside).astype(np.int32) - 1, 0, count - 4)
     t = inside - first
     a, b, c, d = t, t - 1.0, t - 2.0, t - 3.0
     return first, (-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0)
 
 
-def cubic_weights(place: Float[Array, " *shape"], count: int) -> Float[Array, "*shape node"]:
+def cubic_weights(place: Float[Array | np.ndarray, " *shape"], count: int) -> Float[Array | np.ndarray, "*shape node"]:
     """`cubic` as a row of weights for all nodes."""
+    xp = _library(place)
     first, four = cubic(place, count)
-    behind = jnp.arange(count) - first[..., None]
-    row = jnp.zeros(behind.shape, place.dtype)
+    behind = np.arange(count).reshape(*[1] * place.ndim, count) - first[..., None]
+    row = xp.zeros(behind.shape, place.dtype)
     for k, weight in enumerate(four):
-        row = row + jnp.where(behind == k, weight[..., None], 0.0)
+        row = row + xp.where(behind == k, weight[..., None], 0.0)
     return row
+
+
+def _library(values):
+    return jnp if isinstance(values, jax.Array) else np
 
 
 def rays_of(resolution: Resolution) -> Rays:
@@ -148,10 +158,11 @@ def rays_of(resolution: Resolution) -> Rays:
         nodes.append((there - EARTH_RADIUS, (along[:, z, None] + distance) / there, distance, step))
     end = np.where(meets, EARTH_RADIUS, EARTH_RADIUS + TOP_OF_AIR)
     place = np.repeat([z for z, *_ in pieces], resolution.path_nodes)
+    heights, cosines, distances, steps = (np.concatenate(part, axis=1) for part in zip(*nodes, strict=True))
+    between = cubic_weights(height_coordinate(heights, resolution.levels), resolution.levels)
     return Rays(
-        height, cosine, 2.0 * np.pi * weight, resolution.zeniths[2],
-        *(np.concatenate(part, axis=1) for part in zip(*nodes, strict=True)), place, length,
-        end - EARTH_RADIUS, (along + length) / end,
+        height, cosine, 2.0 * np.pi * weight, resolution.zeniths[2], heights, cosines, distances, steps, between, place,
+        length, end - EARTH_RADIUS, (along + length) / end,
     )  # fmt: skip
 
 

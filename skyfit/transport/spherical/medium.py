@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from ...atmosphere import Atmosphere
 from ...numerics import as_float
-from ..optics import scatterer_indices
+from ..optics import optics, scatterer_indices
 from ..orders.layering import peaked, Resolution as Streams, scaled_optics
 from ..views import eye_columns, Points, Views
 from .grid import Rays
@@ -16,6 +16,8 @@ from .grid import Rays
 
 # of a ray's light per unit optical depth; what is less scatters nothing
 _LEAST = 1e-30
+# the largest factor by which the nodes of a ray are corrected; what is missing then lies near the eye
+_MOST = 1.5
 
 
 class Medium(NamedTuple):
@@ -43,6 +45,10 @@ class RayWeights(NamedTuple):
 
 def medium_of(atmosphere: Atmosphere, wavelength_nm: Float[Array, " wavelength"], moments: int) -> Medium:
     """The optics of an atmosphere, the peaks of its phase functions beyond `moments` counted as unscattered."""
+    if not scatterer_indices(atmosphere.constituents):
+        none = jnp.zeros((0, *wavelength_nm.shape), wavelength_nm.dtype)
+        extinction = optics(atmosphere.constituents, wavelength_nm).extinction
+        return Medium(extinction, none, none[None], atmosphere.ground.reflectance(wavelength_nm), ())
     streams = Streams(moments // 2, 1, 2, 1, "spherical")
     scaled = scaled_optics(atmosphere.constituents, wavelength_nm, streams)
     scatterers = scatterer_indices(atmosphere.constituents)
@@ -66,14 +72,29 @@ def ray_weights(atmosphere: Atmosphere, medium: Medium, rays: Rays) -> RayWeight
     whole = jnp.einsum("clz,cw->lzw", whole, medium.extinction)
     every = jnp.stack([p.density(as_float(rays.height)) for p in profiles])
     weight = jnp.exp(-jnp.einsum("cln,cw->lnw", column, medium.extinction)) * as_float(rays.step)[..., None]
-    held = weight * jnp.einsum("cln,cw->lnw", every, medium.extinction)
-    of_ray = as_float(np.arange(rays.length.shape[1])[:, None] == rays.ray[None])
-    found = jnp.einsum("zn,lnw->lzw", of_ray, held)
-    some = found > _LEAST
-    scale = jnp.where(some, -jnp.expm1(-whole) / jnp.where(some, found, 1.0), 0.0)
-    weight = weight * scale[:, rays.ray]
+    # by the rays that nodes belong to
+    mine = np.arange(rays.length.shape[1])[:, None] == rays.ray[None]
+    near = np.argmin(np.where(mine[None], rays.distance[:, None], np.inf), axis=-1)
+    of_ray, nearest = as_float(mine), as_float(near[..., None] == np.arange(nodes))
+    extinction = jnp.einsum("cln,cw->lnw", every, medium.extinction)
+    scale, missing = completed(-jnp.expm1(-whole), jnp.einsum("zn,lnw,lnw->lzw", of_ray, weight, extinction))
+    weight = weight * scale[:, rays.ray] + jnp.einsum("lzn,lzw->lnw", nearest, missing) / jnp.maximum(
+        extinction, _LEAST
+    )
     density = jnp.stack([every[i] for i in scatterer_indices(constituents)])
     return RayWeights(weight, density, jnp.exp(-whole[:, -rays.grounded :]))
+
+
+def completed(
+    whole: Float[Array, "..."], found: Float[Array, "..."]
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Factors of the nodes' weights on a ray and what its nearest node gets besides, so that they hold the `whole`.
+
+    In thick air the nodes miss most of what is near the eye.
+    """
+    some = found > _LEAST
+    scale = jnp.minimum(jnp.where(some, whole / jnp.where(some, found, 1.0), 0.0), _MOST)
+    return scale, jnp.maximum(whole - scale * found, 0.0)
 
 
 def _views(height: np.ndarray, cosine: np.ndarray) -> Views:

@@ -13,7 +13,6 @@ from ...numerics import as_float, check_range, concrete, within
 from ...scene import Scene
 from ..columns import EARTH_RADIUS, TOP_OF_AIR
 from ..contract import AbstractSolver, check_scene, Geometry, Irradiances, Path, SCALAR_ERROR, Suns
-from ..optics import scatterer_indices
 from .field import SphericalField
 from .grid import Resolution, sun_coordinate
 from .transfer import solve
@@ -116,8 +115,6 @@ class Spherical(AbstractSolver):
         atmosphere.check_wavelengths(wavelength_nm)
         check_range("height", height, 0.0, 1e9, "m")
         check_range("sun_zenith", sun_zenith, 0.0, math.radians(_LOWEST_SUN), "rad", "Spherical: suns to 108 degrees")
-        if not scatterer_indices(atmosphere.constituents):
-            raise ValueError("`atmosphere` must have a constituent that scatters for Spherical")
         first, count, suns_deg, highest = self._window(sun_zenith, height)
         solution, place = _solved(self._resolution(), atmosphere, wavelength_nm, as_float(first), count)
         answered = as_float(np.array(suns_deg)), as_float(highest)
@@ -174,7 +171,7 @@ class Spherical(AbstractSolver):
         return max(low - 0.5 * (count - need), self._place(0.0)), count, (float(least), float(largest)), highest
 
     def _place(self, degrees: float) -> float:
-        return float(sun_coordinate(np.radians(degrees), self.sun_step))
+        return float(sun_coordinate(np.radians(np.array(degrees)), self.sun_step))
 
 
 def _dip(height: float) -> float:

@@ -12,12 +12,13 @@ from ...numerics import as_float
 from ..columns import EARTH_RADIUS
 from . import harmonics as sun_harmonics
 from .first import FEW_AZIMUTHS, first_order, spread_azimuths
-from .grid import cubic_weights, dusk, height_coordinate, Rays, rays_of, Resolution, sun_at, sun_coordinate
+from .grid import cubic_weights, dusk, Rays, rays_of, Resolution, sun_at, sun_coordinate
 from .medium import Medium, medium_of, ray_weights, RayWeights
 
 
 # the last order is followed by those that fall like it; no slower than this
-_SLOWEST = 0.95
+_SLOWEST = 0.95, 0.999
+_NO_LIGHT = 1e-30
 
 
 class Solution(NamedTuple):
@@ -57,6 +58,9 @@ def solve(
     rays = rays_of(resolution)
     medium = medium_of(atmosphere, wavelength_nm, resolution.moments)
     names = sun_harmonics.kept(resolution.moments, bool(medium.peaks))
+    if not medium.scattering.shape[0]:
+        shape = resolution.levels, *sun_place.shape, len(names), *wavelength_nm.shape
+        return Solution(jnp.zeros(shape), jnp.zeros((*sun_place.shape, *wavelength_nm.shape)))
     azimuths = resolution.moments + 1 if medium.peaks else FEW_AZIMUTHS
     azimuth = np.pi * (np.arange(azimuths) + 0.5) / azimuths
     weights = ray_weights(atmosphere, medium, rays)
@@ -86,7 +90,10 @@ def solve(
     (last, total), (before, after) = jax.lax.scan(step, (start, start), length=resolution.orders - 1)
     before, after = before[-1], after[-1]
     some = before > 0.0
-    ratio = jnp.clip(jnp.where(some, after / jnp.where(some, before, 1.0), 0.0), 0.0, _SLOWEST)
+    # no place falls more slowly than thick air does as a whole, or than this
+    whole = jnp.sum(after, axis=(0, 1)) / jnp.maximum(jnp.sum(before, axis=(0, 1)), _NO_LIGHT)
+    slowest = jnp.clip(whole, *_SLOWEST)[None, None]
+    ratio = jnp.clip(jnp.where(some, after / jnp.where(some, before, 1.0), 0.0), 0.0, slowest)
     more = ratio / (1.0 - ratio)
     return Solution(
         total.moments + more[:, :, None] * last.moments,
@@ -125,9 +132,8 @@ def _carrier(rays: Rays, names, azimuth, sun_place, sun, resolution: Resolution,
     basis = jnp.stack(sun_harmonics.carried(names, *view, *place[1:]), axis=-1)
     basis = basis.reshape(*basis.shape[:2], -1, basis.shape[-1])
     grounded = np.arange(rays.length.shape[1])[-rays.grounded :]
-    between = cubic_weights(height_coordinate(as_float(rays.height), resolution.levels), resolution.levels)
     at_ground = suns_at(there(rays.length[:, grounded], grounded))
-    return Carrier(views, basis, suns_at(place), at_ground, between, weights)
+    return Carrier(views, basis, suns_at(place), at_ground, as_float(rays.between), weights)
 
 
 def _carried(order: Solution, carrier: Carrier, medium: Medium, rays: Rays, names, fall, azimuth):
@@ -137,7 +143,7 @@ def _carried(order: Solution, carrier: Carrier, medium: Medium, rays: Rays, name
     share = as_float(sun_harmonics.weights(names))
     zeniths, suns, wavelengths = rays.length.shape[1], *order.ground.shape
     of_ray = as_float(np.arange(zeniths)[:, None] == rays.ray[None])
-    moments = order.moments[:, :, :travelling] * share[:travelling, None]
+    moments = order.moments[:, :, :travelling] * share[None, None, :travelling, None]
     grounded = zeniths - rays.grounded
 
     low = medium.moments[: sun_harmonics.TRAVELLING]
@@ -151,20 +157,19 @@ def _carried(order: Solution, carrier: Carrier, medium: Medium, rays: Rays, name
         light = jnp.einsum("nxs,nsk->nxk", suns_there, source).reshape(source.shape[0], -1, travelling, wavelengths)
         light = jnp.einsum("nxhw,nxh->nxw", light, basis)
         light = jnp.einsum("zn,nxw->zxw", of_ray, light)
-        reflected = medium.albedo / np.pi * jnp.einsum("zxs,sw->zxw", at_ground, order.ground) * passed[:, None]
+        lit = jnp.einsum("zxs,sw->zxw", at_ground, order.ground)
+        reflected = (medium.albedo / np.pi)[None, None] * lit * passed[:, None]
         return light.at[grounded:].add(reflected)
 
-    levels = carrier.basis, carrier.suns, carrier.between, carrier.rays.node
-    light = jax.lax.map(
-        at_level, (*levels, jnp.moveaxis(carrier.rays.density, 0, 1), carrier.rays.passed, carrier.ground)
-    )
+    weights = carrier.rays.node, jnp.moveaxis(carrier.rays.density, 0, 1), carrier.rays.passed
+    light = jax.lax.map(at_level, (carrier.basis, carrier.suns, carrier.between, *weights, carrier.ground))
     light = light.reshape(*light.shape[:2], FEW_AZIMUTHS, suns, wavelengths)
     light = jnp.einsum("af,lzfsw->slzaw", as_float(spread_azimuths(azimuth)), light)
     for c in medium.peaks:
-        emitted = carrier.rays.node * carrier.rays.density[c][..., None] * medium.scattering[c]
+        emitted = carrier.rays.node * carrier.rays.density[c][..., None] * medium.scattering[c][None, None]
         held = jnp.einsum("zn,lnw,lno->lzow", of_ray, emitted, carrier.between)
         weight = medium.moments[degree[travelling:], c] * share[travelling:, None]
-        local = jnp.einsum("lzow,oshw->lzshw", held, order.moments[:, :, travelling:] * weight)
-        local = local * fall[:, None, None]
+        local = jnp.einsum("lzow,oshw->lzshw", held, order.moments[:, :, travelling:] * weight[None, None])
+        local = local * fall[None, None, :, None, None]
         light = light + jnp.einsum("lzshw,shlza->slzaw", local, carrier.views[:, travelling:])
     return light
