@@ -90,7 +90,7 @@ def main():
             "largest_slope_difference_mag_per_deg": float(np.max(np.abs(slope)[judged][1:-1])),
             "largest_difference_without_ozone_mag": float(np.max(np.abs(grey[band] - measured)[judged])),
         }
-    record = {"made_with": made_with(), "solver": given.preset, "suns_deg": SUNS.tolist(), "bands": rows}
+    record = {"made_with": made_with(None), "solver": given.preset, "suns_deg": SUNS.tolist(), "bands": rows}
     RESULT.write_text(json.dumps(record, indent=1) + "\n")
     draw(rows)
     for band, row in rows.items():

@@ -142,10 +142,7 @@ def _multiple(
     zenith = jnp.arctan2(jnp.hypot(where[1], where[2]), where[0])
     view = (v[:, None] for v in (frame.along, frame.out, frame.aside))
     basis = sun_harmonics.carried(names, *view, *where[1:])
-    mixed = [
-        sum(e * medium.moments[low, k][None, None] for k, e in enumerate(emitted))
-        for low in range(sun_harmonics.TRAVELLING)
-    ]
+    mixed = jnp.einsum("kdnw,lkw->ldnw", jnp.stack(emitted), medium.moments[: sun_harmonics.TRAVELLING])
     place = sun_coordinate(zenith, resolution.sun_step) - field.sun_place[0]
     first, suns = cubic(place, field.sun_place.shape[0])
     level, rows = cubic(height_coordinate(points.height, resolution.levels), resolution.levels)

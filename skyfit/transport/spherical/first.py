@@ -36,7 +36,7 @@ def first_order(
     rays: Rays,
     azimuth: np.ndarray,
     sun_zenith: Float[Array, " sun"],
-    passed: Float[Array, "level zenith wavelength"],
+    passed: Float[Array, "level grounded wavelength"],
     nodes: int,
 ) -> Float[Array, "sun level zenith azimuth wavelength"]:
     """Radiance of the first order, its phase functions cut after the moments, per unit solar irradiance, sr^-1.

@@ -40,7 +40,7 @@ class RayWeights(NamedTuple):
 
     node: Float[Array, "level node wavelength"]
     density: Float[Array, "scatterer level node"]
-    passed: Float[Array, "level zenith wavelength"]
+    passed: Float[Array, "level grounded wavelength"]
 
 
 def medium_of(atmosphere: Atmosphere, wavelength_nm: Float[Array, " wavelength"], moments: int) -> Medium:

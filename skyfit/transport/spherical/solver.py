@@ -171,7 +171,7 @@ class Spherical(AbstractSolver):
         return max(low - 0.5 * (count - need), self._place(0.0)), count, (float(least), float(largest)), highest
 
     def _place(self, degrees: float) -> float:
-        return float(sun_coordinate(np.radians(np.array(degrees)), self.sun_step))
+        return sun_coordinate(np.radians([degrees]), self.sun_step).item()
 
 
 def _dip(height: float) -> float:

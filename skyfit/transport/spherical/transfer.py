@@ -43,7 +43,7 @@ class Carrier(NamedTuple):
     views: Float[Array, "sun harmonic level zenith azimuth"]
     basis: Float[Array, "level node here harmonic"]
     suns: Float[Array, "level node here sun"]
-    ground: Float[Array, "level zenith here sun"]
+    ground: Float[Array, "level grounded here sun"]
     between: Float[Array, "level node other"]
     rays: RayWeights
 
