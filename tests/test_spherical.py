@@ -177,6 +177,23 @@ def test_the_air_before_the_sky_is_the_sky():
     )
 
 
+def test_shade_takes_sunlight_from_the_shaded_parts_of_a_view_alone():
+    atmosphere, far = hazy(), jnp.full(VIEW.zenith.shape, 80e3)
+    scene = skyfit.Scene.from_degrees(80.0, VIEW, COLOURS, irradiance="unit", height=1000.0)
+    field = SMALL.prepare(atmosphere, COLOURS, sun_zenith=scene.sun_zenith, height=1e3)
+    at = [jnp.full(far.shape, d) for d in (0.0, 1e3, 5e3, 80e3)]
+    whole, dark = field.path(scene, far), field.path(scene, far, lit=[])
+    parts = [field.path(scene, far, lit=[(a, b)]).inscatter for a, b in zip(at[:-1], at[1:], strict=True)]
+    several = field.path(scene, far, lit=[(at[2], at[3]), (at[0], at[1])]).inscatter
+    once = sum(part - dark.inscatter for part in parts)
+    np.testing.assert_allclose(dark.inscatter + once, whole.inscatter, rtol=0.01)
+    np.testing.assert_allclose(
+        several - dark.inscatter, parts[0] + parts[2] - 2.0 * dark.inscatter, rtol=1e-3, atol=1e-6
+    )
+    # what comes by other ways is there in the shade
+    assert np.all(dark.inscatter > 0.0) and np.all(dark.transmittance == whole.transmittance)
+
+
 def test_twilight_falls_without_steps_and_light_is_never_negative():
     field = SMALL.prepare(hazy(), ONE, sun_zenith=np.radians([80.0, 108.0]), height=0.0)
     up = skyfit.Directions(np.zeros(1), np.zeros(1))

@@ -1,5 +1,7 @@
 """A solved spherical atmosphere: its light for every observer, view and sun that it was solved for."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -22,6 +24,10 @@ from .transfer import Solution
 
 
 _LEAST = 1e-30
+
+
+# parts of views, where they begin and end
+Lit = Sequence[tuple[Float[Array, " direction"], Float[Array, " direction"]]]
 
 
 class SphericalField(eqx.Module):
@@ -47,14 +53,23 @@ class SphericalField(eqx.Module):
         self._check(scene)
         return self._radiance(scene)
 
-    def path(self, scene: Scene, distance: Float[Array, " direction"]) -> Path:
-        """The air between the observer and objects at `distance` (m), with all orders of scattering.
+    def path(self, scene: Scene, distance: Float[Array, " direction"], lit: Lit | None = None) -> Path:
+        """The air between the observer and objects, with all orders of scattering.
 
-        A view that meets the ground ends there; the ground's own light is not in it.
+        **Arguments:** `distance` (m) to the objects; `lit`, parts of each view that the sun shines on, pairs of
+        distances (m) where they begin and end, `[direction]` each, in any order and not overlapping: mountains and
+        clouds shade the rest. None: all but the Earth's shadow. **Returns:** `Path`. **Valid:** sunlight that is
+        scattered once is integrated over the lit parts alone; the light of higher orders stays in the shade, where it
+        is that of an open sky. A view that meets the ground ends there; the ground's own light is not in it.
+        **Source:** Bruneton & Neyret 2008, sec. 3 (eq. 17, 18), who take the higher orders out of the shade too.
         """
         self._check(scene)
         check_range("distance", distance, 0.0, np.inf, "m")
-        return self._path(scene, as_float(distance))
+        for k, pair in enumerate(lit or ()):
+            for name, end in zip(("begin", "end"), pair, strict=True):
+                check_range(f"lit[{k}] {name}", end, 0.0, np.inf, "m")
+        pairs = None if lit is None else [tuple(as_float(end) for end in pair) for pair in lit]
+        return self._path(scene, as_float(distance), pairs)
 
     def fluxes(self, scene: Scene) -> Irradiances:
         """Irradiance on the ground and, as `up_at_top`, what leaves the air above it, W m^-2 nm^-1."""
@@ -87,22 +102,29 @@ class SphericalField(eqx.Module):
         return jnp.where(seen[:, None], light, 0.0)
 
     @eqx.filter_jit
-    def _path(self, scene: Scene, distance) -> Path:
+    def _path(self, scene: Scene, distance, lit) -> Path:
         constituents = self.atmosphere.constituents
         medium = medium_of(self.atmosphere, self.wavelength_nm, self.resolution.moments)
         views = views_of(scene, "spherical", distance)
         columns = eye_columns([c.profile for c in constituents], views, end_points(views, "spherical"), "spherical")
         depth = columns[..., 0].T @ optics(constituents, self.wavelength_nm).extinction
-        return Path(jnp.exp(-depth), self._scattered(medium, scene, views) * scene.solar_irradiance[None])
+        return Path(jnp.exp(-depth), self._scattered(medium, scene, views, lit) * scene.solar_irradiance[None])
 
-    def _scattered(self, medium: Medium, scene: Scene, views: Views) -> Float[Array, "direction wavelength"]:
+    def _scattered(
+        self, medium: Medium, scene: Scene, views: Views, lit: Lit | None = None
+    ) -> Float[Array, "direction wavelength"]:
         """All orders of scattering along views, per unit solar irradiance, sr^-1."""
         constituents = self.atmosphere.constituents
         if not scatterer_indices(constituents):
             return jnp.zeros((views.cosine.shape[0], *self.wavelength_nm.shape), views.cosine.dtype)
         nodes = self.resolution.once_nodes
-        (once,) = single_scattering_of(constituents, scene, medium.extinction, nodes, "spherical", views)
-        return once + _multiple(self, medium, scene, views)
+        light = _multiple(self, medium, scene, views)
+        parts = [(views.entry, views.length)] if lit is None else lit
+        for begin, end in parts:
+            begin = jnp.clip(begin, views.entry, views.length)
+            part = views._replace(entry=begin, length=jnp.clip(end, begin, views.length))
+            light += single_scattering_of(constituents, scene, medium.extinction, nodes, "spherical", part)[0]
+        return light
 
     @eqx.filter_jit
     def _fluxes(self, scene: Scene) -> Irradiances:

@@ -13,7 +13,7 @@ from ...numerics import as_float, check_range, concrete, within
 from ...scene import Scene
 from ..columns import EARTH_RADIUS, TOP_OF_AIR
 from ..contract import AbstractSolver, check_scene, Geometry, Irradiances, Path, SCALAR_ERROR, Suns
-from .field import SphericalField
+from .field import Lit, SphericalField
 from .grid import Resolution, sun_coordinate
 from .transfer import solve
 
@@ -130,10 +130,12 @@ class Spherical(AbstractSolver):
         check_scene(self, atmosphere, scene)
         return self._for(atmosphere, scene).fluxes(scene)
 
-    def path(self, atmosphere: Atmosphere, scene: Scene, distance: Float[Array, " direction"]) -> Path:
-        """The air between the observer and objects at `distance` (m) along each view."""
+    def path(
+        self, atmosphere: Atmosphere, scene: Scene, distance: Float[Array, " direction"], lit: Lit | None = None
+    ) -> Path:
+        """The air between the observer and objects at `distance` (m) along each view; `lit` as the field takes it."""
         check_scene(self, atmosphere, scene)
-        return self._for(atmosphere, scene).path(scene, distance)
+        return self._for(atmosphere, scene).path(scene, distance, lit)
 
     def _for(self, atmosphere: Atmosphere, scene: Scene) -> SphericalField:
         height = 0.0 if scene.height is None else scene.height
