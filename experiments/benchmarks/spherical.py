@@ -59,9 +59,7 @@ def lookups(solver, repeats: int) -> dict:
     return interleaved(
         {
             "343 x 41, ground": lambda: field.radiance(sky),
-            "single scattering alone, 343 x 41, ground": lambda: skyfit.SingleScattering.normal().radiance(
-                atmosphere, sky
-            ),
+            "single scattering alone, 343 x 41, ground": lambda: once.radiance(atmosphere, sky),
             "343 x 8, from 10 km, all suns": lambda: whole.radiance(aloft),
         },
         repeats,
