@@ -11,12 +11,15 @@ from ...scene import Scene
 from ..contract import (
     AbstractSolver,
     check_geometry,
-    check_on_ground,
+    check_observer,
     check_scene,
     checked,
     FLAT_SUNS,
     Geometry,
+    GROUND_TO_SPACE,
     Irradiances,
+    Observers,
+    ON_GROUND,
     POLARISED_ERROR,
     SCALAR_ERROR,
     SPHERICAL_SUNS,
@@ -107,6 +110,10 @@ class OrdersOfScattering(AbstractSolver):
         return SPHERICAL_SUNS if self.geometry == "spherical" else FLAT_SUNS
 
     @property
+    def observers(self) -> Observers:
+        return ON_GROUND if self.geometry == "spherical" else GROUND_TO_SPACE
+
+    @property
     def model_error(self) -> float:
         return POLARISED_ERROR if self.polarised else SCALAR_ERROR
 
@@ -116,7 +123,7 @@ class OrdersOfScattering(AbstractSolver):
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance by all orders of scattering, W m^-2 sr^-1 nm^-1."""
         check_scene(self, atmosphere, scene)
-        check_on_ground(scene, "OrdersOfScattering")
+        check_observer(self, scene)
         return self._light(atmosphere, scene, spectral_nodes(atmosphere, scene, self.spectral_nodes), False)[0]
 
     def stokes(self, atmosphere: Atmosphere, scene: Scene) -> Stokes:
@@ -125,7 +132,7 @@ class OrdersOfScattering(AbstractSolver):
         Q and U take more modes than `radiance` does, whose last digits (1e-4) may differ from those here.
         """
         check_scene(self, atmosphere, scene)
-        check_on_ground(scene, "OrdersOfScattering")
+        check_observer(self, scene)
         if not self.polarised:
             raise ValueError(
                 "`polarised` must be True for `stokes`, got False: OrdersOfScattering.normal(polarised=True)"
@@ -143,7 +150,7 @@ class OrdersOfScattering(AbstractSolver):
         The delta-M beam contains the forward peak; it is counted as direct light only as far as the true
         transmittance goes, the rest as diffuse.
         """
-        check_on_ground(scene, "OrdersOfScattering")
+        check_observer(self, scene)
         constituents = atmosphere.constituents
         extinction = optics(constituents, scene.wavelength_nm).extinction
         sun = jnp.maximum(jnp.cos(scene.sun_zenith), 0.0)
