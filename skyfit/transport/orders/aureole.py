@@ -8,7 +8,7 @@ from ...atmosphere import Atmosphere
 from ...numerics import legendre_series, of_angle, phi_functions, safe_sqrt
 from ...scene import above_horizon, haversine, Scene
 from ..columns import slant_columns
-from ..optics import optics
+from ..optics import Optics, optics
 from .layering import peaked, Resolution
 
 
@@ -32,13 +32,11 @@ def aureole_excess(
     """
     constituents, wavelength = atmosphere.constituents, scene.wavelength_nm
     depth, (count, _) = optics(constituents, wavelength), resolution.for_phases(constituents)
-    profiles = [c.profile for c in constituents]
-    level = jnp.zeros_like(scene.sun_zenith) if scene.height is None else scene.height
+    profiles, mixed, level = [c.profile for c in constituents], depth, jnp.zeros_like(scene.sun_zenith)
     if scene.height is not None:
+        level = scene.height
         left = jnp.stack([profile.column_above(level) for profile in profiles])[:, None]
-        mixed = depth._replace(extinction=left * depth.extinction, scattering=left * depth.scattering)
-    else:
-        mixed = depth
+        mixed = Optics(left * depth.extinction, left * depth.scattering)
     whole = jnp.sum(mixed.extinction, axis=0)
     share = mixed.scattering / jnp.where(whole > 0.0, whole, 1.0)[None]
     half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)

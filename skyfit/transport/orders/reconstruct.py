@@ -11,6 +11,8 @@ from ...atmosphere import Atmosphere
 from ...numerics import legendre_series, of_angle, phi_functions
 from ...scene import above_horizon, Scene
 from ..columns import layer_airmass, MIN_COSINE
+from ..optics import optics, transmitted_sun
+from ..views import end_points, eye_columns, views_of
 from .layering import depth_above, Resolution, scaled_optics
 from .polarisation import sources_of_stokes
 from .streams import degree_index, diffuse_field
@@ -110,6 +112,19 @@ def _seen_tangent(primals, tangents):
     tangent = jnp.einsum("kdw,kdw->dw", by_source, source)
     tangent += jnp.einsum("kdw,kw->dw", by_depth, depth)
     return radiance, tangent + jnp.einsum("kdw,kd->dw", by_airmass, airmass)
+
+
+def bare_ground(atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
+    """The ground through flat air that scatters nothing, seen from above, per unit solar irradiance, sr^-1."""
+    constituents, wavelength = atmosphere.constituents, scene.wavelength_nm
+    extinction = optics(constituents, wavelength).extinction
+    lit = jnp.maximum(jnp.cos(scene.sun_zenith), 0.0) * transmitted_sun(constituents, scene, extinction, "flat")
+    views, depth = views_of(scene, "flat"), jnp.zeros((scene.view.zenith.shape[0], *wavelength.shape), extinction.dtype)
+    if constituents:
+        columns = eye_columns([c.profile for c in constituents], views, end_points(views, "flat"), "flat")
+        depth = columns[..., 0].T @ extinction
+    light = (atmosphere.ground.reflectance(wavelength) * lit / np.pi)[None] * jnp.exp(-depth)
+    return jnp.where(above_horizon(scene.view.zenith)[:, None], 0.0, light)
 
 
 def _seen_aloft(
