@@ -80,7 +80,7 @@ def test_light_within_a_layer_is_that_of_discrete_ordinates(x64, albedo):
     levels = np.array([1e-6, 0.1, 0.45, 0.8])
     azimuth = np.radians([0.0, 70.0, 180.0])
     cosine, *_, field = pydisort(
-        depth, single, 32, asymmetry ** np.arange(33.0)[None], sun, 1.0, 0.0, BDRF_Fourier_modes=[albedo / np.pi]
+        depth, single, 32, asymmetry ** np.arange(33.0)[None], sun, 1.0, 0.0, BDRF_Fourier_modes=[albedo]
     )
     kept = np.abs(cosine) > 0.1
     # theirs are cosines of the light's way up
@@ -155,8 +155,8 @@ def test_the_observer_at_the_bottom_is_the_observer_on_the_ground(wide, solver):
 
 def test_the_ground_under_the_eye_has_the_upward_flux(x64):
     scene = unit_scene(50.0, views([180.0], [0.0]), COLOURS)
-    fluxes = FEW.fluxes(hazy(), scene)
-    bottom = light(FEW, hazy(), 0.0)
+    every = replace(SMALL["flat"], spectral_nodes=0)
+    fluxes, bottom = every.fluxes(hazy(), scene), light(every, hazy(), 0.0)
     np.testing.assert_allclose(np.pi * bottom[0, -1], fluxes.up, rtol=1e-9)
 
 
@@ -270,7 +270,7 @@ def test_slopes_are_central_differences(x64, height):
         return light_of(*jax.tree.unflatten(tree, list(flat + relative * scale)))
 
     # an observer does not stand in the ground
-    free = jnp.eye(len(leaves))[[i for i in range(len(leaves)) if height > 0.0 or i != len(leaves) - 2]]
+    free = jnp.asarray(np.delete(np.eye(len(leaves)), [] if height > 0.0 else [len(leaves) - 2], axis=0))
     step = 1e-5 * free
     around = jax.jit(lambda s: jax.lax.map(field, s), compiler_options=HASTE)(jnp.concatenate([step, -step]))
     central = (around[: len(free)] - around[len(free) :]) / 2e-5

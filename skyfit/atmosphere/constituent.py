@@ -6,7 +6,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from ..numerics import ALL_WAVELENGTHS, as_float, check_wavelength, Ranged, within
 from .phase import AbstractPhase
@@ -64,7 +64,7 @@ class Prescribed(AbstractConstituent):
     def by_layer(
         cls,
         edges,
-        optical_depth: Float[ArrayLike, "layer wavelength"],
+        optical_depth,
         phase: AbstractPhase | None = None,
         single_scattering_albedo=1.0,
     ) -> tuple["Prescribed", ...]:
@@ -73,8 +73,9 @@ class Prescribed(AbstractConstituent):
         A profile is the same at all wavelengths. Layers that share the column otherwise at each of them are as many
         constituents as wavelengths, each there at its own alone: exact, in every solver.
 
-        **Arguments:** `edges` of the layers, m, increasing from 0, one more than layers; `optical_depth`, vertical
-        extinction, at the scene's own wavelengths, may be traced; `phase` and `single_scattering_albedo` as above.
+        **Arguments:** `edges` of the layers, m, increasing from 0, one more than layers; `optical_depth`
+        `[layer, wavelength]`, vertical extinction, at the scene's own wavelengths, may be traced; `phase` and
+        `single_scattering_albedo` as above.
         **Returns:** the constituents; one, where there is one wavelength. They have no names yet:
         `Atmosphere(None, None, None, **{f"air_{i}": part for i, part in enumerate(parts)})`.
         """

@@ -148,12 +148,18 @@ class AbstractSolver(Ranged):
 
 
 def checked(method: _Method) -> _Method:
-    """A public call of a solver as one program, which refuses and flags first what can be seen: `check_scene`."""
+    """A public call of a solver as one program, which refuses and flags first what can be seen.
+
+    `check_scene`, and of all but paths `check_observer`.
+    """
     program = eqx.filter_jit(method)
 
     @functools.wraps(method)
     def call(solver, atmosphere, scene, distance=None):
         check_scene(solver, atmosphere, scene)
+        # a path may begin elsewhere
+        if distance is None:
+            check_observer(solver, scene)
         check_range("distance", distance, 0.0, np.inf, "m")
         return program(solver, atmosphere, scene, *(() if distance is None else (distance,)))
 

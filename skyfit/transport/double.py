@@ -100,7 +100,6 @@ class DoubleScattering(AbstractSolver):
     @checked
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground: the direct beam, the light scattered once or twice, the ground's reflection."""
-        check_observer(self, scene)
         constituents, irradiance = atmosphere.constituents, scene.solar_irradiance
         extinction = optics(constituents, scene.wavelength_nm).extinction
         beam = transmitted_sun(constituents, scene, extinction, self.geometry)

@@ -14,7 +14,6 @@ from .columns import EARTH_RADIUS, height_gain, length_scale, MIN_COSINE, slant_
 from .contract import (
     AbstractSolver,
     check_geometry,
-    check_observer,
     checked,
     Geometry,
     Irradiances,
@@ -263,13 +262,11 @@ class Shells(AbstractSolver):
     @checked
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance of the layers, W m^-2 sr^-1 nm^-1; the observer on the ground."""
-        check_observer(self, scene)
         return _radiance(self, atmosphere, scene)
 
     @checked
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground: the sun's colour (eq. 22), the sky by quadrature, the ground's reflection."""
-        check_observer(self, scene)
         beam = sun_transmittance(atmosphere.constituents, scene, self.geometry)
         return fluxes_by_quadrature(
             lambda sky: _radiance(self, atmosphere, sky), atmosphere, scene, scene.solar_irradiance * beam

@@ -87,13 +87,11 @@ class Uniform(AbstractSolver):
     @checked
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance by one scattering in the shells, W m^-2 sr^-1 nm^-1."""
-        check_observer(self, scene)
         return _radiance(atmosphere, scene)
 
     @checked
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground: the direct beam, the sky by quadrature, the ground's reflection."""
-        check_observer(self, scene)
         sunlight = _sun(atmosphere.constituents, scene)
         return fluxes_by_quadrature(lambda sky: _radiance(atmosphere, sky), atmosphere, scene, sunlight, rings=16)
 

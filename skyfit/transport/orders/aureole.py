@@ -1,5 +1,6 @@
 """The aureole: what delta-M and exact single scattering count too much near the sun."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -36,6 +37,9 @@ def aureole_excess(
     if scene.height is not None:
         level = scene.height
         left = jnp.stack([profile.column_above(level) for profile in profiles])[:, None]
+        # only the mixture counts: of the size of one, or the squares of what is left in space vanish
+        most = jax.lax.stop_gradient(jnp.max(left))
+        left = left / jnp.where(most > 0.0, most, 1.0)
         mixed = Optics(left * depth.extinction, left * depth.scattering)
     whole = jnp.sum(mixed.extinction, axis=0)
     share = mixed.scattering / jnp.where(whole > 0.0, whole, 1.0)[None]

@@ -74,7 +74,8 @@ def multiple_scattering(
         return Multiple(light, field.ground_flux, beam)
     extinction = scaled_optics(atmosphere.constituents, wavelength_nm, resolution).extinction
     share = depth_above(atmosphere.constituents, layers, scene.height, extinction)
-    reflected = layers.ground_albedo * (field.ground_flux + beam) / np.pi
+    # where little comes through thick layers, their slopes may undershoot
+    reflected = layers.ground_albedo * jnp.maximum(field.ground_flux + beam, 0.0) / np.pi
     light = _seen_aloft(jnp.stack(sources), layers.depth, share, reflected, view.zenith)
     return Multiple(light, field.ground_flux, beam)
 

@@ -160,7 +160,6 @@ class OrdersOfScattering(AbstractSolver):
         The delta-M beam contains the forward peak; it is counted as direct light only as far as the true
         transmittance goes, the rest as diffuse.
         """
-        check_observer(self, scene)
         constituents = atmosphere.constituents
         extinction = optics(constituents, scene.wavelength_nm).extinction
         sun = jnp.maximum(jnp.cos(scene.sun_zenith), 0.0)
