@@ -123,7 +123,7 @@ def from_every_height(record: dict) -> str:
     worst = max(row[name]["z rms"] for case, row in _observers(record["fine"]) for name in "IQU" if "by" not in case)
     lines += [
         "",
-        "Deviations from MYSTIC over its standard errors, what three of these leave of the largest over I, and the share",
+        "Deviations from MYSTIC over its standard errors; what three of these leave of the largest, over I; the share",
         f"of points within {100 * record['target']['beyond 3 sigma']:.2g} % and three of them. A3's table is read as",
         f"MYSTIC reads it; by splines it is another. The largest z of `fine` at one height, up or down: {worst:.2f}.",
     ]
