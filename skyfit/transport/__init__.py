@@ -10,6 +10,7 @@ from .contract import (
     Irradiances as Irradiances,
     low_sun as low_sun,
     LowSunWarning as LowSunWarning,
+    Observers as Observers,
     Path as Path,
     Stokes as Stokes,
     Suns as Suns,

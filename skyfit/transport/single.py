@@ -18,7 +18,9 @@ from .contract import (
     checked,
     FLAT_SUNS,
     Geometry,
+    GROUND_TO_SPACE,
     Irradiances,
+    Observers,
     Path,
     SCALAR_ERROR,
     Stokes,
@@ -184,6 +186,10 @@ class SingleScattering(AbstractSolver):
     @property
     def suns(self) -> Suns:
         return ALL_SUNS if self.geometry == "spherical" else FLAT_SUNS
+
+    @property
+    def observers(self) -> Observers:
+        return GROUND_TO_SPACE
 
     @property
     def model_error(self) -> float:

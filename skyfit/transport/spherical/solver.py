@@ -12,7 +12,17 @@ from ...atmosphere import Atmosphere
 from ...numerics import as_float, check_range, concrete, within
 from ...scene import Scene
 from ..columns import EARTH_RADIUS, TOP_OF_AIR
-from ..contract import AbstractSolver, check_scene, Geometry, Irradiances, Path, SCALAR_ERROR, Suns
+from ..contract import (
+    AbstractSolver,
+    check_scene,
+    Geometry,
+    GROUND_TO_SPACE,
+    Irradiances,
+    Observers,
+    Path,
+    SCALAR_ERROR,
+    Suns,
+)
 from .field import Lit, SphericalField
 from .grid import Resolution, sun_coordinate
 from .transfer import solve
@@ -89,6 +99,10 @@ class Spherical(AbstractSolver):
     @property
     def suns(self) -> Suns:
         return Suns(_LOWEST_SUN)
+
+    @property
+    def observers(self) -> Observers:
+        return GROUND_TO_SPACE
 
     @property
     def model_error(self) -> float:
