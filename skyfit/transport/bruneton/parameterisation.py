@@ -107,26 +107,26 @@ def height_of(unit: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     return square / (jnp.sqrt(square + EARTH_RADIUS**2) + EARTH_RADIUS)
 
 
-def view_of(
+def length_of(
     unit: Float[Array, "*shape"], height: Float[Array, "*shape"], ground: Bool[Array, "*shape"], rescaled: bool
 ) -> Float[Array, "*shape"]:
-    """The inverse of `unit_view`: the cosine of the view's zenith angle at `height`.
-
-    Distances shorter than the shortest one there is stand for the view straight up or down.
-    """
+    """The length $d_o$ (m) of the view that `unit` stands for, no shorter than the one straight up or down."""
     shortest, longest = _lengths(height, ground, rescaled)
     # on the ground itself the horizon is nowhere: views down are level but for the one straight down
     longest = jnp.maximum(longest, _SHORTEST)
     distance = shortest + jnp.where(ground, 1.0 - 2.0 * unit, 2.0 * unit - 1.0) * (longest - shortest)
-    radius, above = EARTH_RADIUS + height, (TOP_OF_AIR - height) * (2.0 * EARTH_RADIUS + TOP_OF_AIR + height)
     up = jnp.maximum(distance, jnp.maximum(TOP_OF_AIR - height, _SHORTEST))
-    down = jnp.maximum(jnp.clip(distance, height, longest), _NOTHING)
-    horizon = jnp.where(ground, longest, 0.0)
-    return jnp.clip(
-        jnp.where(ground, -(horizon**2 + down**2) / (2.0 * radius * down), (above - up**2) / (2.0 * radius * up)),
-        -1.0,
-        1.0,
-    )
+    return jnp.where(ground, jnp.maximum(jnp.clip(distance, height, longest), _NOTHING), up)
+
+
+def view_of(
+    unit: Float[Array, "*shape"], height: Float[Array, "*shape"], ground: Bool[Array, "*shape"], rescaled: bool
+) -> Float[Array, "*shape"]:
+    """The inverse of `unit_view`: the cosine of the view's zenith angle at `height`."""
+    length, radius = length_of(unit, height, ground, rescaled), EARTH_RADIUS + height
+    above = (TOP_OF_AIR - height) * (2.0 * EARTH_RADIUS + TOP_OF_AIR + height)
+    below = jnp.maximum(to_horizon(height), _SHORTEST) ** 2
+    return jnp.clip(jnp.where(ground, -below - length**2, above - length**2) / (2.0 * radius * length), -1.0, 1.0)
 
 
 def sun_of(unit: Float[Array, "*shape"], lowest_sun: float) -> Float[Array, "*shape"]:

@@ -1,10 +1,12 @@
 """The solver of Bruneton & Neyret 2008: everything precomputed in tables, once for all observers, views and suns."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from ...atmosphere import Atmosphere
 from ...numerics import as_float, check_range, IN_MICROMETRES, within
@@ -98,7 +100,7 @@ class Bruneton(AbstractSolver):
     def coarser(self) -> AbstractSolver:
         return self
 
-    def prepare(self, atmosphere: Atmosphere, wavelength_nm: Float[Array, " wavelength"]) -> BrunetonField:
+    def prepare(self, atmosphere: Atmosphere, wavelength_nm: Float[ArrayLike, "..."]) -> BrunetonField:
         """The tables of an atmosphere for all observers, views and suns, per unit irradiance of the sun.
 
         **Arguments:** `wavelength_nm` `[wavelength]`, any number: they are solved eight at a time.
@@ -111,7 +113,11 @@ class Bruneton(AbstractSolver):
         atmosphere.check_wavelengths(wavelength_nm)
         if self.one_component and air_of(atmosphere, wavelength_nm).smooth is None:
             raise ValueError("`atmosphere` must have air, whose phase function ends at degree 2, for `one_component`")
-        return BrunetonField(atmosphere, wavelength_nm, _tables(self, atmosphere, wavelength_nm), self._sizes())
+        # one program makes the tables with and without the shortcut
+        tables = _tables(replace(self, one_component=False), atmosphere, wavelength_nm)
+        if self.one_component:
+            tables = tables._replace(apart=tables.apart[..., jnp.argmax(wavelength_nm)][..., None])
+        return BrunetonField(atmosphere, wavelength_nm, tables, self._sizes())
 
     @checked
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
@@ -161,8 +167,6 @@ def _tables(solver: Bruneton, atmosphere: Atmosphere, wavelength_nm) -> Tables:
     else:
         stacked = jax.lax.map(some, jnp.asarray(places))
         tables = Tables(*(jnp.moveaxis(t, 0, -2).reshape(*t.shape[1:-1], -1)[..., :count] for t in stacked))
-    if solver.one_component:
-        tables = tables._replace(apart=tables.apart[..., jnp.argmax(wavelength_nm)][..., None])
     return tables
 
 

@@ -95,45 +95,42 @@ def precompute(air: Air, resolution: Resolution) -> Tables:
     sizes = resolution.sizes
     depth = transmittance(air, sizes)
     single = once_scattered(air, depth, resolution)
-    count = single.shape[-2]
-    flat = single.reshape(*single.shape[:-2], -1)
-
-    def first(rays: Rays) -> Array:
-        each = scattered(flat, rays, sizes).reshape(*rays.angle.shape, count, -1)
-        half = jnp.clip(0.5 - 0.5 * rays.angle, 0.0, 1.0)
-        light = jnp.zeros_like(each[..., 0, :])
-        for row, phase in enumerate(air.phases):
-            light = light + phase.at_haversine(half, air.wavelength_nm) * each[..., row, :]
-        return light
 
     def direct(sun_cosine: Array) -> Array:
         ground = jnp.zeros_like(sun_cosine)
         return sunlight(depth, ground, sun_cosine, sizes) * jnp.maximum(sun_cosine, 0.0)[..., None]
 
-    def next_order(light: _Light, of_ground: Callable[[Array], Array]):
-        def incident(rays: Rays) -> Array:
-            return light(rays) + reflected(air, depth, rays, of_ground, sizes)
+    def order(state, _):
+        # one program for all orders: what is scattered once is lit in the first round only
+        alive, more, light, total, whole = state
 
-        source = gathered(air, incident, resolution)
-        return collected(light, resolution), along_views(air, depth, source, resolution)
+        # last what is scattered more often, with no phase function to come
+        every = jnp.concatenate([alive * single, light[..., None, :]], axis=-2)
+        flat = every.reshape(*sizes.scattering, -1)
 
-    def again(state, _):
-        more, light, total, whole = state
+        def diffuse(rays: Rays) -> Array:
+            each = scattered(flat, rays, sizes).reshape(*rays.angle.shape, *every.shape[-2:])
+            half = jnp.clip(0.5 - 0.5 * rays.angle, 0.0, 1.0)
+            light = each[..., -1, :]
+            for row, phase in enumerate(air.phases):
+                light = light + phase.at_haversine(half, air.wavelength_nm) * each[..., row, :]
+            return light
 
         def of_ground(sun_cosine: Array) -> Array:
-            return irradiance(more, jnp.zeros_like(sun_cosine), sun_cosine, sizes)
+            return alive * direct(sun_cosine) + irradiance(more, jnp.zeros_like(sun_cosine), sun_cosine, sizes)
 
-        more, light = next_order(lambda rays: scattered(light, rays, sizes), of_ground)
-        return (more, light, total + more, whole + light), None
+        def incident(rays: Rays) -> Array:
+            return diffuse(rays) + reflected(air, depth, rays, of_ground, sizes)
+
+        source = gathered(air, incident, resolution)
+        more, light = collected(diffuse, resolution), along_views(air, depth, source, resolution)
+        return (jnp.zeros_like(alive), more, light, total + more, whole + light), None
 
     multiple = jnp.zeros_like(single[..., 0, :])
     total = jnp.zeros((*sizes.irradiance, multiple.shape[-1]), multiple.dtype)
+    state = jnp.ones((), multiple.dtype), total, multiple, total, multiple
     if resolution.orders > 1:
-        more, light = next_order(first, direct)
-        state = more, light, more, light
-        if resolution.orders > 2:
-            state, _ = jax.lax.scan(again, state, length=resolution.orders - 2)
-        total, multiple = state[2:]
+        (*_, total, multiple), _ = jax.lax.scan(order, state, length=resolution.orders - 1)
     # at the angle that the table is read by, also of entries whose zenith angles do not allow it
     half = jnp.clip(0.5 - 0.5 * texels(sizes).angle, 0.0, 1.0)
     phase = air.smooth_phase.at_haversine(half, air.wavelength_nm)[None, None, None]
@@ -144,16 +141,15 @@ def precompute(air: Air, resolution: Resolution) -> Tables:
 
 def transmittance(air: Air, sizes: Sizes) -> Float[Array, "height view wavelength"]:
     """The optical depth from every entry of T to the ground or to space."""
-    height, cosine, ground = transmittance_nodes(sizes)
-    start = jnp.broadcast_to(height[:, None], cosine.shape)
-    profiles = [c.profile for c in air.constituents]
-    here, down = (start[:, m] for m in (~ground, ground)), cosine[:, ground]
-    sky_height, low_height = here
-    sky = slant_columns(profiles, sky_height, cosine[:, ~ground], "spherical")
-    length = distance_to_end(low_height, down, jnp.ones(down.shape, bool))
-    below = -(EARTH_RADIUS * down + low_height * down + length) / EARTH_RADIUS
-    ends = jnp.stack([jnp.zeros_like(low_height), low_height])
-    climbing = outward_columns(profiles, ends, jnp.stack([jnp.clip(below, 0.0, 1.0), -down]), "spherical")
+    nodes = transmittance_nodes(sizes)
+    ground, profiles = nodes.ground, [c.profile for c in air.constituents]
+    start = jnp.broadcast_to(nodes.height[:, None], nodes.cosine.shape)
+    sky = slant_columns(profiles, start[:, ~ground], nodes.cosine[:, ~ground], "spherical")
+    # from the ground up, less what lies above the height
+    low = start[:, ground]
+    height = jnp.stack([jnp.zeros_like(low), low])
+    cosine = jnp.maximum(jnp.stack([nodes.end[:, ground], -nodes.cosine[:, ground]]), 0.0)
+    climbing = outward_columns(profiles, height, cosine, "spherical")
     columns = jnp.concatenate([jnp.maximum(climbing[:, 0] - climbing[:, 1], 0.0), sky], axis=-1)
     return jnp.moveaxis(columns, 0, -1) @ air.extinction
 

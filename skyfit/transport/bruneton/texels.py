@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from ...numerics import gauss_legendre, safe_sqrt
 from ..columns import EARTH_RADIUS, graded_nodes, height_gain, length_scale
-from .parameterisation import distance_to_end, height_of, Sizes, sun_of, to_horizon, view_nodes, view_of
+from .parameterisation import distance_to_end, height_of, length_of, Sizes, sun_of, to_horizon, view_nodes, view_of
 
 
 # nodes of a path are spread over this many times the height in which the scatterers thin out
@@ -49,11 +49,29 @@ def irradiance_nodes(sizes: Sizes) -> tuple[Float[Array, " height"], Float[Array
     return height_of(_units(heights)), sun_of(_units(suns), sizes.lowest_sun)
 
 
-def transmittance_nodes(sizes: Sizes) -> tuple[Float[Array, " height"], Float[Array, "height view"], np.ndarray]:
-    """Heights (m) and cosines of the views of the table T, and which of them meet the ground."""
+class Ends(NamedTuple):
+    """The nodes of the table T: as `Texels`, and `end`, the cosine of the zenith angle of a view from its end."""
+
+    height: Float[Array, " height"]
+    cosine: Float[Array, "height view"]
+    ground: Bool[np.ndarray, " view"]
+    end: Float[Array, "height view"]
+
+
+def transmittance_nodes(sizes: Sizes) -> Ends:
+    """The nodes of the table T; `end` of views to the ground only, up from there, with all digits at the horizon."""
     heights, views = sizes.transmittance
     nodes = texels(sizes._replace(scattering=(heights, views, 2, 2)))
-    return nodes.height, nodes.cosine, nodes.ground
+    shape = nodes.cosine.shape
+    height = jnp.broadcast_to(nodes.height[:, None], shape)
+    unit, ground = (jnp.broadcast_to(jnp.asarray(v)[None], shape) for v in view_nodes(views))
+    length = length_of(jnp.asarray(unit, height.dtype), height, ground, sizes.rescaled)
+    horizon = to_horizon(height)
+    up = (horizon - length) * (horizon + length) / (2.0 * EARTH_RADIUS * length)
+    # from the ground a view down is over where it begins
+    return Ends(
+        nodes.height, nodes.cosine, nodes.ground, jnp.clip(jnp.where(height > 0.0, up, -nodes.cosine), 0.0, 1.0)
+    )
 
 
 def azimuth_cosine(cosine, sun_cosine, angle):
