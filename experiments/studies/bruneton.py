@@ -92,7 +92,7 @@ def figure_6(field) -> dict:
         light = np.asarray(field.radiance(scene(sun, view)))
         relative, standard = luminance(light) / zenith_of(field, sun), cie(sun, view)
         axes[0, column].imshow(image(light, inside).reshape(PIXELS, PIXELS, 3))
-        axes[0, column].set_title(f"sun {sun:g}° from the zenith")
+        axes[0, column].set_title(f"sun zenith {sun:g}°")
         for row, values in ((1, relative), (2, standard)):
             shown = np.where(inside, np.log10(np.maximum(values, 1e-3)), np.nan).reshape(PIXELS, PIXELS)
             levels = axes[row, column].imshow(shown, vmin=-0.8, vmax=1.2, cmap="viridis")
@@ -184,7 +184,7 @@ def stripe(ax, alone, sky) -> dict:
         ax.plot(off, 100.0 * (ratio - 1.0), label=f"{height:g} m up")
         worst[f"{height:g} m"] = float(np.max(np.abs(ratio - 1.0)))
     ax.set(xlabel="degrees above the horizon", ylabel="table over integral - 1, %", title="Stripe at the horizon",
-           ylim=(-40, 40))  # fmt: skip
+           ylim=(-25, 5))  # fmt: skip
     ax.axvline(0.0, color="0.7", linewidth=0.8)
     ax.legend(fontsize=7)
     return worst

@@ -83,10 +83,10 @@ class Bruneton(AbstractSolver):
 
     @classmethod
     def fine(cls, geometry: Geometry = "spherical") -> "Bruneton":
-        """Twice the paper's suns and angles, eight orders, suns to 108 degrees."""
+        """Twice the paper's suns and angles, views spread over their lengths, six orders, suns to 108 degrees."""
         return cls(
-            irradiance=(16, 128), scattering=(32, 128, 64, 16), orders=8, nodes=16, directions=(24, 20),
-            lowest_sun=-0.3091, rescaled=True, geometry=geometry,
+            irradiance=(16, 128), scattering=(32, 128, 64, 16), orders=6, lowest_sun=-0.3091, rescaled=True,
+            geometry=geometry,
         )  # fmt: skip
 
     @property
