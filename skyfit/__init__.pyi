@@ -88,6 +88,7 @@ from .scene import (
 )
 from .transport import (
     AerialPerspective as AerialPerspective,
+    Bruneton as Bruneton,
     constant_ambient as constant_ambient,
     DoubleScattering as DoubleScattering,
     Irradiances as Irradiances,

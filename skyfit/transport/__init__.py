@@ -3,6 +3,7 @@ from .air import (
     constant_ambient as constant_ambient,
     scattered_light as scattered_light,
 )
+from .bruneton import Bruneton as Bruneton, BrunetonField as BrunetonField
 from .contract import (
     AbstractSolver as AbstractSolver,
     check_scene as check_scene,
