@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 from ...atmosphere import Atmosphere
 from ...numerics import as_float, check_range, IN_MICROMETRES, within
 from ...scene import Scene
-from ..contract import AbstractSolver, checked, Geometry, Irradiances, Path, Suns
+from ..contract import AbstractSolver, checked, Geometry, GROUND_TO_SPACE, Irradiances, Observers, Path, Suns
 from ..optics import scatterer_indices
 from .field import air_of, BrunetonField
 from .parameterisation import Sizes
@@ -92,6 +92,10 @@ class Bruneton(AbstractSolver):
     @property
     def suns(self) -> Suns:
         return Suns(float(np.degrees(np.arccos(self.lowest_sun))))
+
+    @property
+    def observers(self) -> Observers:
+        return GROUND_TO_SPACE
 
     @property
     def model_error(self) -> float:

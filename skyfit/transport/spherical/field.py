@@ -44,6 +44,11 @@ class SphericalField(eqx.Module):
     highest: Float[Array, ""]
     resolution: Resolution = eqx.field(static=True)
 
+    @property
+    def nbytes(self) -> int:
+        """The size of what was solved."""
+        return sum(table.nbytes for table in jax.tree.leaves(self.solution))
+
     def radiance(self, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Radiance of sky and ground, W m^-2 sr^-1 nm^-1; zero below the horizon of an observer on the ground.
 
