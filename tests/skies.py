@@ -15,7 +15,7 @@ from skyfit.atmosphere import Aerosol, Exponential, Ground, HenyeyGreenstein, Oz
 from skyfit.numerics import as_float
 from skyfit.retrieve import Fit, Fitted, invert, predict, start_model, with_values
 from skyfit.scene import angle_between
-from skyfit.transport import DoubleScattering, OrdersOfScattering, Shells, SingleScattering, Uniform
+from skyfit.transport import DoubleScattering, OrdersOfScattering, Shells, SingleScattering, Spherical, Uniform
 
 
 EARTH_RADIUS = 6371e3
@@ -26,8 +26,23 @@ SINGLE = {geometry: SingleScattering(12, geometry) for geometry in ("flat", "sph
 DOUBLE = {geometry: DoubleScattering(3, 3, 8, 8, 3, geometry) for geometry in ("flat", "spherical")}
 SHELLS = {geometry: Shells(12, geometry) for geometry in ("flat", "spherical")}
 POLARISED = {"spherical": OrdersOfScattering(3, 3, 8, 4, 8, 3, polarised=True)}
+SPHERE = {
+    "spherical": Spherical(
+        levels=8,
+        moments=4,
+        up=3,
+        flat=2,
+        down=2,
+        orders=3,
+        sun_step=2.0,
+        path_nodes=4,
+        first_nodes=5,
+        view_nodes=5,
+        nodes=8,
+    )
+}
 KINDS = {
-    "single": SINGLE, "double": DOUBLE, "orders": SMALL, "polarised": POLARISED, "shells": SHELLS,
+    "single": SINGLE, "double": DOUBLE, "orders": SMALL, "polarised": POLARISED, "sphere": SPHERE, "shells": SHELLS,
     "uniform": {"flat": Uniform()},
 }  # fmt: skip
 SOLVERS = {f"{name} {geometry}": kind[geometry] for name, kind in KINDS.items() for geometry in kind}

@@ -62,6 +62,7 @@ def single_scattering_of(
     total, polarised = jnp.zeros_like(integral[:, 0]), jnp.zeros_like(integral[:, 0])
     for row, i in enumerate(scatterer_indices(constituents)):
         phase = constituents[i].phase
+        assert phase is not None
         light = phase.at_haversine(views.half_angle, scene.wavelength_nm) * scattering[i][None] * integral[:, row]
         total = total + light
         if stokes:

@@ -85,7 +85,8 @@ class SphericalField(eqx.Module):
         suns, highest = concrete(self.suns_deg), concrete(self.highest)
         if suns is not None and highest is not None:
             known = f"the field was solved for suns from {suns[0]:g} to {suns[1]:g} degrees"
-            check_range("sun_zenith", scene.sun_zenith, *(np.radians(suns) + [-1e-5, 1e-5]), "rad", known)
+            low, high = np.radians(suns)
+            check_range("sun_zenith", scene.sun_zenith, low, high, "rad", known)
             known = f"the field was solved for observers to {highest:g} m"
             check_range("height", scene.height, 0.0, float(highest), "m", known)
         here, there = concrete(scene.wavelength_nm), concrete(self.wavelength_nm)
@@ -167,8 +168,8 @@ def _multiple(
     frame = _Frame.of(scene, views)
     where = frame.at(distance)
     zenith = jnp.arctan2(jnp.hypot(where[1], where[2]), where[0])
-    view = (v[:, None] for v in (frame.along, frame.out, frame.aside))
-    basis = sun_harmonics.carried(names, *view, *where[1:])
+    along, out, aside = (v[:, None] for v in (frame.along, frame.out, frame.aside))
+    basis = sun_harmonics.carried(names, along, out, aside, where[1], where[2])
     mixed = jnp.einsum("kdnw,lkw->ldnw", jnp.stack(emitted), medium.moments[: sun_harmonics.TRAVELLING])
     place = sun_coordinate(zenith, resolution.sun_step) - field.sun_place[0]
     first, suns = cubic(place, field.sun_place.shape[0])

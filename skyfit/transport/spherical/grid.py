@@ -1,7 +1,7 @@
 """Where the light of a spherical atmosphere is known: heights, suns, directions, and interpolation between them."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -66,15 +66,18 @@ def level_heights(levels: int) -> np.ndarray:
     return _NEAR * np.expm1(math.log1p(TOP_OF_AIR / _NEAR) * x**_POWER)
 
 
-def height_coordinate(height: Float[Array | np.ndarray, "..."], levels: int) -> Float[Array | np.ndarray, "..."]:
-    """The place of heights (m) among the levels, 0 to `levels` - 1."""
+def height_coordinate(height: Any, levels: int) -> Any:
+    """The place of heights (m) among the levels, 0 to `levels` - 1; numpy's of numpy's."""
     xp = _library(height)
     share = xp.log1p(xp.clip(height, 1e-3, TOP_OF_AIR) / _NEAR) / math.log1p(TOP_OF_AIR / _NEAR)
     return (levels - 1) * share ** (1.0 / _POWER)
 
 
-def sun_coordinate(zenith: Float[Array | np.ndarray, "..."], step: float) -> Float[Array | np.ndarray, "..."]:
-    """The place of a sun's zenith angle (rad) on the axis on which suns are `step` degrees apart in twilight."""
+def sun_coordinate(zenith: Any, step: float) -> Any:
+    """The place of a sun's zenith angle (rad) on the axis on which suns are `step` degrees apart in twilight.
+
+    numpy's of numpy's.
+    """
     xp = _library(zenith)
     above = (xp.rad2deg(zenith) - _EVEN_ABOVE) / step
     return xp.where(above > 0.0, above, -xp.log1p(_WIDER * xp.maximum(-above, 0.0)) / _WIDER)
@@ -91,7 +94,7 @@ def dusk(zenith: Float[Array, "..."]) -> Float[Array, "..."]:
     return jnp.exp(-_FALL * _SOFT * jnp.logaddexp(0.0, (jnp.rad2deg(zenith) - _DUSK) / _SOFT))
 
 
-def cubic(place: Float[Array | np.ndarray, "..."], count: int):
+def cubic(place: Any, count: int):
     """The first of four even nodes around a place and their weights (Lagrange); the end's value beyond the ends."""
     xp = _library(place)
     inside = xp.clip(place, 0.0, count - 1.0)
@@ -101,8 +104,8 @@ def cubic(place: Float[Array | np.ndarray, "..."], count: int):
     return first, (-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0)
 
 
-def cubic_weights(place: Float[Array | np.ndarray, " *shape"], count: int) -> Float[Array | np.ndarray, "*shape node"]:
-    """`cubic` as a row of weights for all nodes."""
+def cubic_weights(place: Any, count: int) -> Any:
+    """`cubic` as a row of weights for all nodes, `[..., node]`; numpy's of numpy's."""
     xp = _library(place)
     first, four = cubic(place, count)
     behind = np.arange(count).reshape(*[1] * place.ndim, count) - first[..., None]
@@ -159,11 +162,21 @@ def rays_of(resolution: Resolution) -> Rays:
     end = np.where(meets, EARTH_RADIUS, EARTH_RADIUS + TOP_OF_AIR)
     place = np.repeat([z for z, *_ in pieces], resolution.path_nodes)
     heights, cosines, distances, steps = (np.concatenate(part, axis=1) for part in zip(*nodes, strict=True))
-    between = cubic_weights(height_coordinate(heights, resolution.levels), resolution.levels)
     return Rays(
-        height, cosine, 2.0 * np.pi * weight, resolution.zeniths[2], heights, cosines, distances, steps, between, place,
-        length, end - EARTH_RADIUS, (along + length) / end,
-    )  # fmt: skip
+        level=height,
+        zenith_cosine=cosine,
+        solid_angle=2.0 * np.pi * weight,
+        grounded=resolution.zeniths[2],
+        height=heights,
+        cosine=cosines,
+        distance=distances,
+        step=steps,
+        between=cubic_weights(height_coordinate(heights, resolution.levels), resolution.levels),
+        ray=place,
+        length=length,
+        end_height=end - EARTH_RADIUS,
+        end_cosine=(along + length) / end,
+    )
 
 
 def _ends(counts):

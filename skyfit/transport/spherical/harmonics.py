@@ -45,7 +45,7 @@ def of_views(harmonics, along, out, aside) -> Float[Array, "harmonic ..."]:
     series = legendre_series(modes, max(degree for degree, _ in harmonics) + 1)
     degree, mode = np.array(harmonics).T
     around = jnp.cos(jnp.arange(modes, dtype=along.dtype).reshape(-1, *[1] * along.ndim) * turn[None])
-    return of_angle(series[degree, mode], angle) * around[mode]
+    return jnp.asarray(of_angle(series[degree, mode], angle)) * around[mode]
 
 
 def carried(harmonics, along, out, aside, place_out, place_aside) -> list[Float[Array, "..."]]:

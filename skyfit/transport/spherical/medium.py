@@ -98,6 +98,5 @@ def completed(
 
 
 def _views(height: np.ndarray, cosine: np.ndarray) -> Views:
-    height, cosine = as_float(height.ravel()), as_float(cosine.ravel())
-    none = jnp.zeros_like(height)
-    return Views(True, height, cosine, jnp.zeros(()), none, none, none)
+    none = jnp.zeros(height.size)
+    return Views(True, as_float(height.ravel()), as_float(cosine.ravel()), jnp.zeros(()), none, none, none)
