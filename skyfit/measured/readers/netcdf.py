@@ -7,6 +7,7 @@ import numpy as np
 from ..response import Response
 from ..samples import Sky
 from ..units import IRRADIANCE, irradiance_factor, is_nanometre, is_radian, RADIANCE, radiance_factor
+from .colours import coloured_dataset
 from .flags import flag_variables, flagged, outside
 from .header import Head, quantity_of
 from .scale import scale_of
@@ -43,7 +44,8 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
       both NaN past the end of a shorter scan, `wavelength`; `sun_zenith` and `sun_azimuth` [time] or
       [time, wavelength], or latitude, longitude and time. Channels of a camera or photometer: `channel` in place of
       the dimension wavelength, `response` [channel, spectrum], `spectrum` (nm), optionally `channel` (names), and
-      `wavelength` [channel], what they are called; `radiance` is then in any unit, that of the response
+      `wavelength` [channel], what they are called; `radiance` is then in any unit, that of the response.
+      `luminance` (cd m-2), alone or with `x` and `y` (CIE 1931), stands in place of radiance and wavelength
     - `station`: numbers that stand instead of the file's own, by name; those are attributes, or variables of one value,
       in the spellings and units that `header` knows; `own_units`: those of channels, of any name
 
@@ -55,9 +57,14 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
     """
     data = load_dataset(path)
     name = path.name
+    try:
+        data, of_colours = coloured_dataset(data)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
     response, data = _response(name, data)
     _require(name, data)
     radiance, factor, notes, eye = _radiance(name, data, response, own_units)
+    notes = of_colours + notes
     axes = radiance.dims
     shape = radiance.shape
     sigma = None
