@@ -50,7 +50,7 @@ _VARIABLES = {
     "steps": (_BY_TIME, "1", "steps of the search"),
     "cost": (_BY_TIME, "1", "half the sum of squares after the loss"),
 }
-_FLAGS = ("at_bound", "determined")
+_FLAGS, _SKY_NOTES = ("at_bound", "determined"), "sky_notes"
 
 
 def fit_many(
@@ -111,8 +111,9 @@ def fit_many(
         if progress is not None:
             progress(sum(len(part["index"]) for part in chunks), times)
     fits = fits_of_parts(
-        sky, asked.free, sky.wavelength_nm[asked.chosen], chunks, fixed_values(asked.start, asked.free), settings
-    )
+        sky, asked.free, sky.wavelength_nm[asked.chosen], chunks, tuple(dict.fromkeys(asked.sampling.notes)),
+        fixed_values(asked.start, asked.free), settings,
+    )  # fmt: skip
     if target is not None and parts is not None:
         with atomic(target) as file:
             _write(fits, file)
@@ -236,7 +237,7 @@ def _write(fits: Fits, file: Path) -> None:
         "other_parameter": ("other_parameter", names),
         "wavelength": ("wavelength", fits.fitted_nm, {"units": "nm"}),
     }
-    attributes = fits.settings | {"fixed": json.dumps(fits.fixed)}
+    attributes = fits.settings | {"fixed": json.dumps(fits.fixed), _SKY_NOTES: "\n".join(fits.sky_notes)}
     xarray.Dataset(variables, coordinates, attributes).to_netcdf(file, engine="h5netcdf")
 
 
@@ -256,13 +257,15 @@ def read_fits(path: str | os.PathLike) -> Fits:
         raise ValueError(f"{path.name}: expected fits of `fit_many`, found no {(missing or ['fixed'])[0]}")
     columns = {name: data[name].values for name in _VARIABLES}
     columns |= {name: columns[name] != 0 for name in _FLAGS}
-    settings = {name: str(text) for name, text in data.attrs.items() if name != "fixed"}
+    settings = {name: str(text) for name, text in data.attrs.items() if name not in ("fixed", _SKY_NOTES)}
     return Fits(
         time=data["time"].values.astype("datetime64[ns]"),
         free=tuple(map(str, data["parameter"].values)),
         fitted_nm=data["wavelength"].values,
         result=np.array(RESULTS)[data["result"].values],
         notes=tuple(tuple(str(text).splitlines()) for text in data["notes"].values),
+        # files of earlier versions have none
+        sky_notes=tuple(str(data.attrs.get(_SKY_NOTES, "")).splitlines()),
         fixed=json.loads(data.attrs["fixed"]),
         settings=settings,
         **columns,
