@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 from ..measured import atomic, NoiseModel, Response, Sky, STATION_RANGES
-from ..measured.readers.netcdf import load_dataset
+from ..measured.readers.dataset import load_dataset
 from ..measured.units import RADIANCE
 from ..measured.writing import skyfit_version
 from ..numerics import as_float
@@ -126,7 +126,9 @@ def _settings(asked: Prepared, max_steps: int, guess: bool, starts: int) -> dict
     sky, response = asked.sky, asked.sampling.response
     station = tuple(getattr(sky, name) for name in STATION_RANGES if name != "fwhm_nm")
     samples = np.where(sky.usable, sky.radiance, np.nan)
-    views = [view[0] if sky.one_pattern else view for view in (sky.view_zenith, sky.view_azimuth)]
+    views = [view[0] if sky.one_pattern else view for view in sky.views]
+    # told only where there are some: the digest of other skies stays as it was
+    depths = (v for v in (sky.aerosol_optical_depth, sky.aerosol_optical_depth_sigma) if v is not None)
     leaves, structure = jax.tree.flatten(asked.start)
     kinds = np.frombuffer(repr(structure).encode(), np.uint8)
     return {
@@ -134,6 +136,7 @@ def _settings(asked: Prepared, max_steps: int, guess: bool, starts: int) -> dict
         "sky": _digest(
             samples, sky.sigma, sky.usable, *views, sky.wavelength_nm, sky.sun_zenith,
             sky.sun_azimuth, sky.time.astype(np.int64), station, sky.direct_irradiance, sky.direct_sigma,
+            *depths,
         ),
         "free": ", ".join(asked.free),
         "solver": _line(asked.solver),
