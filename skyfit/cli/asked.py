@@ -1,6 +1,7 @@
 """What `skyfit invert` is asked for, from words to settings."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,20 @@ def names_in(text: str) -> tuple[str, ...]:
     """Names with commas between them; `particles` stands for `PARTICLE_FREE`."""
     names = [name.strip() for name in text.split(",") if name.strip()]
     return tuple(one for name in names for one in (PARTICLE_FREE if name == "particles" else (name,)))
+
+
+def free_of(text: str, usual: tuple[str, ...], sky: Sky) -> tuple[tuple[str, ...], Sky]:
+    """The names of the free parameters, and the sky, with a note where they are other than the usual ones.
+
+    An instrument that follows the sun knows where it looks, and its almucantars do not tell a shift from a haze.
+    """
+    names = names_in(text)
+    asked = () if names == usual else tuple(name.strip() for name in text.split(","))
+    kept = tuple(name for name in names if name in asked or not name.startswith("pointing_"))
+    if kept == names or sky.view_zenith_by_wavelength is None:
+        return names, sky
+    note = "pointing held, as the instrument follows the sun: --free pointing_zenith and others fits it"
+    return kept, replace(sky, notes=(*sky.notes, note))
 
 
 def start_of(free: tuple[str, ...], fix: Sequence[str], sky: Sky) -> SkyModel:

@@ -77,6 +77,8 @@ def check_values(sky) -> None:
         value = getattr(sky, name)
         if not (np.isnan(value) or low <= value <= high):
             raise ValueError(f"`{name}` must be {low:g} to {high:g} {unit}, or NaN, got {value:g}")
+    if not (np.isnan(sky.calibration_sigma) or 0.0 <= sky.calibration_sigma < 1.0):
+        raise ValueError(f"`calibration_sigma` must be in [0, 1), or NaN, got {sky.calibration_sigma:g}")
     if not np.all(np.isfinite(sky.radiance[sky.usable])):
         raise ValueError("`usable` must be False where `radiance` is not finite")
     used = sky.usable.any(axis=2)

@@ -43,6 +43,8 @@ class Sky:
     - `aerosol_optical_depth`, `aerosol_optical_depth_sigma`: of the vertical column at each wavelength, as photometers
       have it of that beam, air and gases taken out, [time, wavelength], NaN where missing; or None
     - `instrument`: what took the samples, in words; may be empty
+    - `calibration_sigma`: standard deviation of the scale of each wavelength, relative, which all times share; NaN if
+      unknown. `sigma` is that of the noise alone then
     - `masked`: reason -> count of samples that are not usable for it; `reason`: of each sample the place of its reason
       among these, -1 for none, by which times are counted apart; None if not known
     - `notes`: what a user of the samples should know
@@ -70,6 +72,7 @@ class Sky:
     fwhm_nm: float = float("nan")
     ozone_du: float = float("nan")
     sun_distance_au: float = float("nan")
+    calibration_sigma: float = float("nan")
     made_by: dict = field(default_factory=dict)
     response: Response | None = None
     direct_irradiance: np.ndarray | None = None
@@ -105,7 +108,7 @@ class Sky:
         except (TypeError, ValueError):
             raise ValueError("`time` must be an array of datetime64 (UTC)") from None
         object.__setattr__(self, "time", time)
-        for name in STATION_RANGES:
+        for name in (*STATION_RANGES, "calibration_sigma"):
             object.__setattr__(self, name, float(getattr(self, name)))
         object.__setattr__(self, "notes", tuple(self.notes))
         for name in ("view_zenith", "view_azimuth"):

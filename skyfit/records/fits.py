@@ -128,7 +128,8 @@ def _settings(asked: Prepared, max_steps: int, guess: bool, starts: int) -> dict
     samples = np.where(sky.usable, sky.radiance, np.nan)
     views = [view[0] if sky.one_pattern else view for view in sky.views]
     # told only where there are some: the digest of other skies stays as it was
-    depths = (v for v in (sky.aerosol_optical_depth, sky.aerosol_optical_depth_sigma) if v is not None)
+    depths = [v for v in (sky.aerosol_optical_depth, sky.aerosol_optical_depth_sigma) if v is not None]
+    depths += [np.array(sky.calibration_sigma)] if np.isfinite(sky.calibration_sigma) else []
     leaves, structure = jax.tree.flatten(asked.start)
     kinds = np.frombuffer(repr(structure).encode(), np.uint8)
     return {

@@ -11,6 +11,7 @@ from .colours import coloured_dataset
 from .dataset import load_dataset
 from .flags import flag_variables, flagged, outside
 from .header import Head, quantity_of
+from .photometer import is_photometer, read_photometer
 from .scale import scale_of
 from .screening import Contents, screened
 
@@ -47,7 +48,8 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
       Channels of a camera or photometer: `channel` in place of the dimension wavelength, `response` [channel,
       spectrum], `spectrum` (nm), optionally `channel` (names), and `wavelength` [channel], what they are called;
       `radiance` is then in any unit, that of the response. `luminance` (cd m-2), alone or with `x` and `y`
-      (CIE 1931), stands in place of radiance and wavelength
+      (CIE 1931), stands in place of radiance and wavelength. A sun photometer's file (`photometer`) is known by its
+      own variables
     - `station`: numbers that stand instead of the file's own, by name; those are attributes, or variables of one value,
       in the spellings and units that `header` knows; `own_units`: those of channels, of any name
 
@@ -59,6 +61,8 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
     """
     data = load_dataset(path)
     name = path.name
+    if is_photometer(data):
+        return read_photometer(name, data, station)
     try:
         data, of_colours = coloured_dataset(data)
     except ValueError as error:
@@ -125,6 +129,7 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
             saturation=_saturation(head, data, factor),
             notes=head.notes + notes,
             made_by=head.made_by,
+            calibration_sigma=head.calibration_sigma,
             angles_known=known,
             turned=bool(note),
             response=eye if response is None else response,

@@ -55,6 +55,7 @@ class Contents:
     aerosol_depth: np.ndarray | None = None
     aerosol_depth_sigma: np.ndarray | None = None
     instrument: str = ""
+    calibration_sigma: float = float("nan")
     station: dict[str, float] = field(default_factory=dict)
     saturation: float | None = None
     notes: list[str] = field(default_factory=list)
@@ -94,8 +95,10 @@ def screened(found: Contents) -> Sky:
     station = found.station
     moving = None, None
     if zenith.ndim == 3:
-        moving = np.deg2rad(zenith), np.deg2rad(azimuth)
+        views = zenith, azimuth
         zenith, azimuth = zenith.mean(axis=2), _mean_azimuth(azimuth)
+        if not all(np.array_equal(v, np.broadcast_to(v[..., :1], v.shape), equal_nan=True) for v in views):
+            moving = np.deg2rad(views[0]), np.deg2rad(views[1])
     depths = (None if depth is None else depth[:, order] for depth in (found.aerosol_depth, found.aerosol_depth_sigma))
     depth, depth_sigma = depths
     try:
@@ -125,6 +128,7 @@ def screened(found: Contents) -> Sky:
             view_zenith_by_wavelength=moving[0],
             view_azimuth_by_wavelength=moving[1],
             instrument=found.instrument,
+            calibration_sigma=found.calibration_sigma,
             masked=masked,
             reason=reason,
             # A file that skyfit wrote already carries its notes: each is said once.

@@ -150,6 +150,7 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
             saturation=None if head.saturation is None else head.saturation * factor,
             notes=notes,
             made_by=head.made_by,
+            calibration_sigma=head.calibration_sigma,
             response=response,
             rows={axis: rows.tolist() for axis, rows in first.items()},
         )
