@@ -10,6 +10,7 @@ from skyfit.cli import app
 from skyfit.cli.asked import free_of
 from skyfit.cli.known import DEFAULT_FREE
 from skyfit.measured import read
+from skyfit.retrieve import PARTICLE_FREE
 
 
 def converted(folder, file, *options, to="sky.nc"):
@@ -80,12 +81,16 @@ def test_where_it_cannot_be_written(tmp_path, to, said):
     assert "write NetCDF" in str(done.exception) and not (tmp_path / "sky.csv").exists()
 
 
-def test_the_pointing_of_an_instrument_that_follows_the_sun_is_held(tmp_path):
+def test_of_an_instrument_that_follows_the_sun_spheres_are_free_and_its_pointing_is_held(tmp_path):
     sky = read(aeronet(tmp_path / "scan.alm", scan()))
     usual = ",".join(DEFAULT_FREE)
+    spheres = tuple(name for name in PARTICLE_FREE if not name.startswith("pointing_"))
     names, noted = free_of(usual, DEFAULT_FREE, sky)
-    assert names == DEFAULT_FREE[:-2] and noted.notes[-1].startswith("pointing held")
-    assert "pointing_zenith" not in free_of("particles", DEFAULT_FREE, sky)[0]
+    assert names == spheres and noted.notes[-1].startswith("spheres in two modes, pointing held")
+    assert free_of("particles", DEFAULT_FREE, sky)[0] == spheres
+    # two filters tell no sizes
+    few = free_of(usual, DEFAULT_FREE, read(aeronet(tmp_path / "few.alm", scan(filters=FILTERS[:2]))))
+    assert few[0] == DEFAULT_FREE[:-2] and few[1].notes[-1].startswith("pointing held")
     asked = "turbidity,pointing_zenith"
     assert free_of(asked, DEFAULT_FREE, sky) == (("turbidity", "pointing_zenith"), sky)
     still = read(written(tmp_path, ".csv", "cd m-2"))

@@ -8,6 +8,7 @@ from ..samples import Sky
 from .aeronet import read_scan
 from .colours import colour_names
 from .netcdf import read_netcdf
+from .normalised import normalised_name
 from .optical_depths import refuse_depths
 from .scanner import is_scanner, read_scanner
 from .tidy import read_tidy, REQUIRED
@@ -41,6 +42,7 @@ def known_format(path: Path) -> Callable[..., Sky] | Callable[..., NoReturn] | N
     if is_scanner([line for line in lines if not line.lstrip().startswith("#")]):
         return read_scanner
     header = [cell.strip() for cell in next((line for line in lines if _is_row(line)), "").split(",")]
+    header = ["radiance" if cell == normalised_name(header) else cell for cell in header]
     spectral, colours = set(REQUIRED) <= set(header), colour_names(header)
     return read_tidy if spectral or (colours is not None and set(REQUIRED[:2]) <= set(header)) else None
 

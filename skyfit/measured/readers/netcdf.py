@@ -11,6 +11,7 @@ from .colours import coloured_dataset
 from .dataset import load_dataset
 from .flags import flag_variables, flagged, outside
 from .header import Head, quantity_of
+from .normalised import in_sunlight, normalised_name, share_of
 from .photometer import is_photometer, read_photometer
 from .scale import scale_of
 from .screening import Contents, screened
@@ -48,8 +49,8 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
       Channels of a camera or photometer: `channel` in place of the dimension wavelength, `response` [channel,
       spectrum], `spectrum` (nm), optionally `channel` (names), and `wavelength` [channel], what they are called;
       `radiance` is then in any unit, that of the response. `luminance` (cd m-2), alone or with `x` and `y`
-      (CIE 1931), stands in place of radiance and wavelength. A sun photometer's file (`photometer`) is known by its
-      own variables
+      (CIE 1931), stands in place of radiance and wavelength; `normalized_radiance` (pi L / E0), or radiance in sr-1
+      (L / E0), is multiplied by the sun's irradiance. A sun photometer's file (`photometer`) is known by its variables
     - `station`: numbers that stand instead of the file's own, by name; those are attributes, or variables of one value,
       in the spellings and units that `header` knows; `own_units`: those of channels, of any name
 
@@ -67,15 +68,19 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
         data, of_colours = coloured_dataset(data)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
+    normalised = normalised_name(list(map(str, data.variables)))
+    data = data if normalised is None else data.rename({normalised: "radiance"})
     response, data = _response(name, data)
     _require(name, data)
-    radiance, factor, notes, eye = _radiance(name, data, response, own_units)
+    share = _share(name, data, own_units or response is not None, normalised)
+    radiance, factor, notes, eye = _radiance(name, data, response, own_units, share)
     notes = of_colours + notes
     axes = radiance.dims
     shape = radiance.shape
     sigma = None
     if "sigma" in data:
-        units = None if own_units or response is not None or eye is not None else data["sigma"].attrs.get("units")
+        own = own_units or response is not None or eye is not None or share is not None
+        units = None if own else data["sigma"].attrs.get("units")
         sigma = _spread(name, data, "sigma", axes, radiance)
         sigma = sigma * (factor if units is None else _factor(name, "sigma", units))
     suspect = None
@@ -107,7 +112,7 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
         "attributes": head.unknown,
     }
     notes += [f"{what} not used: {', '.join(keys)}" for what, keys in unused.items() if keys]
-    return screened(
+    sky = screened(
         Contents(
             name=name,
             radiance=light * factor,
@@ -135,6 +140,7 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
             response=eye if response is None else response,
         )
     )
+    return sky if share is None else in_sunlight(sky, share)
 
 
 def _require(name, data):
@@ -164,7 +170,16 @@ def _response(name, data):
     return response, data.swap_dims(channel="wavelength")
 
 
-def _radiance(name, data, response, own_units):
+def _share(name, data, own, normalised):
+    """Of the sun's irradiance, where that is what the samples are of; None where they are in a unit of their own."""
+    units = data["radiance"].attrs.get("units")
+    try:
+        return None if own else share_of(None if units is None else str(units), normalised is not None)
+    except ValueError as error:
+        raise ValueError(f"{name}: variable `{normalised}`: {error}") from None
+
+
+def _radiance(name, data, response, own_units, share):
     radiance = data["radiance"]
     extra = [axis for axis in radiance.dims if axis not in AXES]
     if extra or "direction" not in radiance.dims or "wavelength" not in radiance.dims:
@@ -176,7 +191,7 @@ def _radiance(name, data, response, own_units):
         raise ValueError(f"{name}: variable `radiance`: expected samples, found {radiance.shape}")
     units = radiance.attrs.get("units")
     factor, notes, eye = 1.0, [], None
-    if response is None:
+    if response is None and share is None:
         told = None if units is None else str(units)
         try:
             factor, notes, eye = scale_of(told, radiance.sizes["wavelength"], own_units)

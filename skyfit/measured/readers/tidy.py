@@ -12,6 +12,7 @@ from .colours import colour_names, coloured_rows
 from .flags import FLAG_NAMES, flagged_cells
 from .grid import Axis, by_time, fill, repeated
 from .header import Head, moment_of, quantity_of
+from .normalised import in_sunlight, normalised_name, share_of
 from .scale import scale_of
 from .screening import check_angles, Contents, screened
 
@@ -42,7 +43,8 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
     **Arguments**
 
     - `path`: columns view_zenith, view_azimuth (degrees), wavelength (nm), radiance
-      (W m^-2 sr^-1 nm^-1), or luminance (cd m^-2), alone or with x and y (CIE 1931), in place of the last two;
+      (W m^-2 sr^-1 nm^-1), or luminance (cd m^-2), alone or with x and y (CIE 1931), in place of the last two,
+      or normalized_radiance (pi L / E0), which units sr-1 of radiance (L / E0) say as well;
       optionally time (ISO, UTC), sigma, suspect (1 = masked), quality_flag (0 = good, other masked) and, the same
       in all rows of a time and wavelength, sun_zenith, sun_azimuth, direct_normal_irradiance and
       direct_normal_irradiance_sigma (W m^-2 nm^-1); lines `# key: value` above, or columns of one value, carry
@@ -57,6 +59,8 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
     """
     name = path.name
     header, comments, rows = _open(path)
+    normalised = normalised_name(header)
+    header = ["radiance" if key == normalised else key for key in header]
     colours = None if "radiance" in header else colour_names(header)
     _require(name, header, REQUIRED if colours is None else (*REQUIRED[:2], colours[0]))
     lines, cells = [], []
@@ -82,7 +86,7 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
     stated = {reason: where for reasons, _ in flags.values() for reason, where in reasons.items()}
     # Without a column `time` all samples are of one time, known only if the head says it.
     moments = _moments(name, lines, texts["time"]) if "time" in texts else [head.moment.astype(int).item()] * len(lines)
-    factor, converted, response = 1.0, [], None
+    factor, converted, response, share = 1.0, [], None, None
     if colours is not None:
         number, response, converted = _coloured(head, colours, number)
         count = len(number["radiance"]) // len(lines)
@@ -108,7 +112,9 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
             "and wavelength once, found the same sample twice"
         )
     if colours is None:
-        factor, converted, response = _units(head, len(wavelengths), own_units)
+        share = _share(head, own_units, normalised is not None)
+        if share is None:
+            factor, converted, response = _units(head, len(wavelengths), own_units)
     sun, sun_rows = _sun(name, lines, number, index, shape)
     beam = [_per_band(name, lines, key, number, index, shape) for key in BEAM]
     numbers = head.station | station
@@ -131,7 +137,7 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
     def gridded(values, absent):
         return fill(shape, index, values, absent)[order]
 
-    return screened(
+    sky = screened(
         Contents(
             name=name,
             radiance=gridded(number["radiance"], np.nan) * factor,
@@ -155,6 +161,7 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
             rows={axis: rows.tolist() for axis, rows in first.items()},
         )
     )
+    return sky if share is None else in_sunlight(sky, share)
 
 
 def read_directions(
@@ -364,6 +371,15 @@ def _coloured(head, colours, number):
     text, place = (None, "") if head.units is None else head.units
     try:
         return coloured_rows(colours, number, text)
+    except ValueError as error:
+        raise ValueError(f"{head.name}: {place}{place and ': '}{error}") from None
+
+
+def _share(head, own, normalised):
+    """Of the sun's irradiance, where that is what the samples are of; None where they are in a unit of their own."""
+    text, place = (None, "") if head.units is None else head.units
+    try:
+        return None if own else share_of(text, normalised)
     except ValueError as error:
         raise ValueError(f"{head.name}: {place}{place and ': '}{error}") from None
 
