@@ -208,3 +208,8 @@ def test_a_column_of_flags_is_followed_and_a_note_says_how_many(tmp_path, key, c
         again = read(tmp_path / "again.csv")
         assert again.notes == sky.notes
         np.testing.assert_array_equal(again.usable, sky.usable)
+
+
+def test_a_column_of_grades_is_none_of_flags(tmp_path):
+    sky = table(tmp_path, "quality", ["0.95", "0.9", "1", "0.2", "0", "1"])
+    assert sky.usable.all() and sky.notes == ("`quality` holds other numbers than flags: not used",)

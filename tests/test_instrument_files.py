@@ -165,6 +165,31 @@ def test_other_units_and_other_columns_of_a_scan(tmp_path):
         read(aeronet(tmp_path / "scan.alm", scan()), utc_offset=2)
 
 
+def angled(path, off=0.0):
+    """A file with its scattering angles, and with a group of columns that is none of radiance."""
+    sun = [float(line.split(",")[6]) for line in scan()]
+    away = np.radians(np.array(AZIMUTHS))
+    rows = []
+    for line, zenith in zip(scan(), np.radians(sun), strict=True):
+        angle = np.degrees(np.arccos(np.cos(zenith) ** 2 + np.sin(zenith) ** 2 * np.cos(away))) + off
+        rows.append(",".join([line, *(f"{v:.3f}" for v in angle), *["0.1"] * len(AZIMUTHS)]))
+    lines = aeronet(path, rows).read_text().splitlines()
+    for group in ("Scattering_Angle_for_Nominal_Azimuth_Angle(Degrees)", "Degree_of_Polarization"):
+        lines[7] += f",{group}" + "," * (len(AZIMUTHS) - 1)
+        lines[8] += "," + ",".join(f"{a:.3f}" for a in AZIMUTHS)
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_the_files_own_scattering_angles_confirm_its_views(tmp_path):
+    sky = read(angled(tmp_path / "scan.alm"))
+    assert sky.radiance.shape == (1, 14, 4) and not said(sky, "scattering angles")
+    assert said(sky, "columns not used: Degree_of_Polarization")
+    assert said(
+        read(angled(tmp_path / "scan.alm", off=3.0)), "scattering angles are 3.0 degrees from those of its views"
+    )
+
+
 # the beam beside it
 
 
@@ -300,6 +325,25 @@ def test_a_scanners_table_that_cannot_be_understood(tmp_path, text, parts):
     with pytest.raises(ValueError, match=r"^scan\.csv: ") as caught:
         read(tmp_path / "scan.csv")
     assert all(part in str(caught.value) for part in parts), caught.value
+
+
+def test_haze_comes_back_from_the_luminances_of_a_scanner(x64, haste, tmp_path):
+    from skyfit.light import earth_sun_factor, extraterrestrial_irradiance
+    from skyfit.measured import solar_position
+    from skyfit.measured.readers.scanner import tregenza
+
+    solver, spectrum = skyfit.SingleScattering.draft("flat"), np.arange(380.0, 781.0, 10.0)
+    time = np.array(["2024-06-21T09:00:00"], "datetime64[ns]")
+    sun = [float(angle[0]) for angle in solar_position(time, 51.5, -0.1)]
+    light = np.asarray(extraterrestrial_irradiance(spectrum), float) * float(earth_sun_factor(np.float64(173)))
+    scene = skyfit.Scene(*sun, skyfit.Directions(*np.radians(tregenza())), spectrum, light)
+    haze = skyfit.Aerosol(0.2, 1.3, 0.95, 0.0, skyfit.HenyeyGreenstein(0.7))
+    air = skyfit.Atmosphere(skyfit.Rayleigh(101325.0), haze, skyfit.Ozone(300.0), skyfit.Ground(0.1))
+    values = np.asarray(skyfit.xyz(solver.radiance(air, scene), spectrum), float)[:, 1]
+    sky = read(scanner(tmp_path / "scan.csv", boustrophedon(values), "", ("2024-06-21T09:00:00",)))
+    assert said(sky, "goes back")
+    fit = skyfit.invert(sky, ("aerosol_optical_depth", "asymmetry"), solver)
+    assert fit.values[0] == pytest.approx([0.2, 0.7], rel=0.02) and fit.result == ("successful",)
 
 
 # what others have simulated

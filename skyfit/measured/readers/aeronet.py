@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..quality.placed_sun import cosine_from_sun
 from ..samples import Sky
 from ..units import radiance_factor
 from .aeronet_table import COLUMNS, moment_in, only, Table, table_of
@@ -17,6 +18,8 @@ from .screening import screened
 # of the radiances, where the names of older files do not say it
 _USUAL_UNITS = "uW/cm^2/sr/nm"
 _NEEDED = ("date", "time", "exact", "sun_zenith", "kind")
+# degrees
+_SAME_ANGLE = 0.5
 _KINDS = {"almucantar": ALMUCANTAR, "alm": ALMUCANTAR, "principal_plane": PRINCIPAL_PLANE, "ppl": PRINCIPAL_PLANE}
 # "Radiance_for_Azimuth_Angle_in_Degrees(uW/cm^2/sr/nm)_-6.000", of files whose two lines of names were joined
 _JOINED = re.compile(r"(.*\S)_(-?\d+(?:\.\d*)?)")
@@ -43,6 +46,7 @@ def read_scan(path: Path, station: dict[str, float]) -> Sky:
     places = {what: table.place(what) for what in COLUMNS}
     lacking = [COLUMNS[what][0] for what in _NEEDED if places[what] is None]
     angles, units, unnamed = _radiances(table)
+    stated, others = _other_groups(table)
     if lacking or not angles:
         found = ", ".join(filter(None, table.names))[:200]
         raise ValueError(f"{table.name}: expected columns {', '.join(lacking) or 'of radiance'}, found {found}")
@@ -51,6 +55,8 @@ def read_scan(path: Path, station: dict[str, float]) -> Sky:
     except ValueError as error:
         raise ValueError(f"{table.name}: column `Radiance`: {error}") from None
     notes = [f"radiance converted from {units} to W m-2 sr-1 nm-1"]
+    if others:
+        notes.append(f"columns not used: {', '.join(others)}")
     if unnamed:
         notes.append(f"{unnamed} columns of radiance have no angle: left out")
     site = only(table, places["site"], "site")
@@ -67,6 +73,7 @@ def read_scan(path: Path, station: dict[str, float]) -> Sky:
     }
     columns, degrees = np.array(list(angles)), np.array(list(angles.values()))
     sweeps = [_sweep(table, row, cells, places, columns, degrees, factor) for row, cells in table.rows]
+    notes += _unlike(table, sweeps, degrees, stated)
     sun = degrees == 0.0
     toward = sum(int(np.isfinite(sweep.radiance[sun]).sum()) for sweep in sweeps)
     if toward:
@@ -125,3 +132,37 @@ def _radiances(table: Table) -> tuple[dict[int, float], str, int]:
         elif any(cells[place] for _, cells in table.rows):
             unnamed += 1
     return angles, units, unnamed
+
+
+def _other_groups(table: Table) -> tuple[dict[float, int], list[str]]:
+    """The columns of scattering angles by the angle they are of, and the names of what nothing here understands."""
+    known = {name for names in COLUMNS.values() for name in names} | {"day_of_year", "last_processing_date"}
+    stated, others, group = {}, [], ""
+    for place, (name, under) in enumerate(zip(table.names, table.below, strict=True)):
+        match = _JOINED.fullmatch(name)
+        if _NUMBER.fullmatch(name):
+            group = "radiance"
+        elif name:
+            group, under = (name, under) if match is None else (match[1], match[2])
+        word = plain(group)
+        if "scattering_angle" in word and _NUMBER.fullmatch(under):
+            stated[float(under)] = place
+        elif name and "radiance" not in word and word not in known and "scattering_angle" not in word:
+            others += [] if group in others else [group]
+    return stated, others
+
+
+def _unlike(table: Table, sweeps: list[Sweep], degrees, stated: dict[float, int]) -> list[str]:
+    """A note where the scattering angles of a file are not those of the views that its scan is taken to be of."""
+    worst = 0.0
+    columns = [(i, stated[angle]) for i, angle in enumerate(degrees.tolist()) if angle in stated]
+    for sweep, (row, cells) in zip(sweeps, table.rows, strict=True):
+        for i, place in columns:
+            told = table.number(row, cells, place)
+            zenith, around = np.radians([sweep.zenith[i], sweep.azimuth[i]])
+            cosine = cosine_from_sun(zenith, around, np.radians(sweep.sun_zenith), 0.0)
+            if np.isfinite(told):
+                worst = max(worst, abs(float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))) - told))
+    if worst <= _SAME_ANGLE:
+        return []
+    return [f"the file's scattering angles are {worst:.1f} degrees from those of its views: another kind of scan?"]

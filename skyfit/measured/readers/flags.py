@@ -86,6 +86,8 @@ def flagged_cells(key: str, cells: Sequence[str]) -> tuple[dict[str, Bool[np.nda
         found = {f"flagged {word} by {key}" if word else f"without a flag in {key}": texts == word for word in bad}
         how = "words that say good are taken as such"
     else:
+        if np.any(numbers % 1.0 > 0.0):
+            return {}, f"`{key}` holds other numbers than flags: not used"
         found = {reason: where for reason, where in flagged("", key, numbers, {}) if where.any()}
         how = "0 is taken as good"
     count = int(np.count_nonzero(np.any(list(found.values()), axis=0))) if found else 0
