@@ -10,6 +10,7 @@ from made_skies import EXACT
 import skyfit
 from skyfit.light import extraterrestrial_irradiance
 from skyfit.measured import mask_sun, read, write_sky
+from skyfit.records import write_prediction
 
 
 pytestmark = pytest.mark.usefixtures("haste")
@@ -119,6 +120,23 @@ def test_the_beam_as_an_optical_depth_is_fitted(x64, tmp_path):
     np.testing.assert_allclose(again.aerosol_optical_depth_sigma, 0.003)
     with pytest.raises(ValueError, match=r"sky\.csv: a CSV has no place for aerosol optical depths"):
         write_sky(lost, tmp_path / "sky.csv")
+
+
+def test_a_fit_to_moving_views_is_kept_predicted_and_one_of_many(tmp_path):
+    sky = almucantar(**depths(), direct_irradiance=np.full((1, 3), 0.5))
+    fit = skyfit.invert(sky, FREE, SOLVER, measurement=EXACT)
+    assert "direct irradiance not used beside the optical depths of the same beam" in fit.notes
+    many = skyfit.fit_many(sky, FREE, solver=SOLVER, measurement=EXACT, draft=SOLVER)
+    np.testing.assert_allclose(many.values, fit.values, rtol=2e-3)
+    assert set(many.sky_notes) <= set(fit.notes)
+    for end in ("json", "nc", "png"):
+        (skyfit.plot if end == "png" else skyfit.save)(fit, tmp_path / f"fit.{end}")
+    again = skyfit.predict(skyfit.load(tmp_path / "fit.json"), sky)
+    np.testing.assert_allclose(again, fit.model, rtol=1e-4)
+    write_prediction(sky, again, tmp_path / "predicted.nc")
+    predicted = read(tmp_path / "predicted.nc")
+    assert predicted.aerosol_optical_depth is None and predicted.usable.all()
+    np.testing.assert_allclose(predicted.view_zenith_by_wavelength, sky.view_zenith_by_wavelength, atol=1e-9)
 
 
 def test_an_optical_depth_of_no_wavelength_is_none_of_the_beam(tmp_path):

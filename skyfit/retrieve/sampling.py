@@ -37,6 +37,8 @@ class Sampling:
         self.irradiance[inside] = self.seen.sunlight(spectrum[inside])
         self.used = self._usable()
         self.sun_factor = sun_factor(sky)[0]
+        if sky.aerosol_optical_depth is not None and sky.direct_irradiance is not None:
+            self.notes.append("direct irradiance not used beside the optical depths of the same beam")
 
     @property
     def response(self) -> Response | None:

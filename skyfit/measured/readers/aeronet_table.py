@@ -61,7 +61,7 @@ def table_of(path: Path, start: str) -> Table:
         lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as error:
         raise ValueError(f"{name}: cannot be read: {error.strerror}") from None
-    at = next((i for i, line in enumerate(lines) if start in line and "Date(" in line), None)
+    at = next((i for i, line in enumerate(lines) if start in line and "Date(dd" in line), None)
     if at is None:
         raise ValueError(f"{name}: expected a line of names with {start}, found none")
     names = [cell.strip() for cell in lines[at].split(",")]
@@ -69,7 +69,7 @@ def table_of(path: Path, start: str) -> Table:
     cells = [(row, line) for row, line in cells if any(line)]
     below: list[str] = []
     # a second line of names holds angles alone, under the last name
-    if cells and not any(cells[0][1][: names.index(next(n for n in names if "Date(" in n)) + 1]):
+    if cells and not any(cells[0][1][: names.index(next(n for n in names if "Date(dd" in n)) + 1]):
         below = cells.pop(0)[1]
     width = max(len(names), len(below))
     names, below = names + [""] * (width - len(names)), below + [""] * (width - len(below))

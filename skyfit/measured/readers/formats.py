@@ -32,19 +32,22 @@ def known_format(path: Path) -> Callable[..., Sky] | Callable[..., NoReturn] | N
     if b"\0" in start:
         return None
     lines = start.decode("utf-8-sig", errors="replace").splitlines()[:_LINES]
-    names = next((line for line in lines if "Date(" in line and "," in line), "")
+    if _is_tidy(lines):
+        return read_tidy
+    names = next((line for line in lines if "Date(dd" in line and "," in line), "")
     if "Sky_Scan_Type" in names or ("Radiance" in names and "Solar_Zenith_Angle" in names):
         return read_scan
     if "AOD_" in names:
         return refuse_depths
     if names or (lines and lines[0].startswith("AERONET")):
         return _refuse_product
-    if is_scanner([line for line in lines if not line.lstrip().startswith("#")]):
-        return read_scanner
-    header = [cell.strip() for cell in next((line for line in lines if _is_row(line)), "").split(",")]
-    header = ["radiance" if cell == normalised_name(header) else cell for cell in header]
-    spectral, colours = set(REQUIRED) <= set(header), colour_names(header)
-    return read_tidy if spectral or (colours is not None and set(REQUIRED[:2]) <= set(header)) else None
+    return read_scanner if is_scanner([line for line in lines if _is_row(line)]) else None
+
+
+def _is_tidy(lines: list[str]) -> bool:
+    header = [cell.strip() for cell in next(filter(_is_row, lines), "").split(",")]
+    named = {"radiance" if cell == normalised_name(header) else cell for cell in header}
+    return set(REQUIRED) <= named or (colour_names(header) is not None and set(REQUIRED[:2]) <= named)
 
 
 def _is_row(line: str) -> bool:
