@@ -88,6 +88,7 @@ from .scene import (
 )
 from .transport import (
     AerialPerspective as AerialPerspective,
+    Bruneton as Bruneton,
     constant_ambient as constant_ambient,
     DoubleScattering as DoubleScattering,
     Irradiances as Irradiances,
@@ -97,6 +98,8 @@ from .transport import (
     scattered_light as scattered_light,
     Shells as Shells,
     SingleScattering as SingleScattering,
+    Spherical as Spherical,
+    SphericalField as SphericalField,
     Stokes as Stokes,
     Uniform as Uniform,
     upsample as upsample,

@@ -266,6 +266,7 @@ PARTS = {
     "given": Prescribed(np.array([0.1, 0.2]), aloft().profile, CornetteShanks(0.6), np.array([0.9, 0.8])),
     "given absorber": Prescribed(np.array([0.1, 0.2]), Exponential(1e3)),
     "table": Aerosol(0.1, phase=Tabulated.bullrich(), profile=Levels.us_standard_1976()),
+    "matrix": Aerosol(0.1, phase=Tabulated([0.0, 3.0], [550.0], [[1.0], [0.5]], 0.3, [[[-0.3], [0.0]]] * 3)),
 }  # fmt: skip
 
 

@@ -88,7 +88,7 @@ RANGES = [
         Tabulated, LINES | {"angle": [1.0, 2.0], "log_value": [[0.0, 0.0], [0.0, 0.0]]},
         {
             "angle": (0.0, PI), "table_wavelength_nm": (100.0, 1e5), "log_value": (-80.0, 80.0),
-            "polarisation": (0.0, 1.0),
+            "polarisation": (0.0, 1.0), "matrix_ratio": (-1.0, 1.0),
         },
     ),
     (Exponential, {"scale_height": 8e3}, {"scale_height": (10.0, 1e6)}),
@@ -157,7 +157,8 @@ def with_value(right, name, value):
     """Right arguments but for one, in the place of one number of an array."""
     if not np.ndim(right.get(name)):
         # of an optional array
-        return right | {name: np.full(2, value) if name == "weight" else value}
+        shape = {"weight": (2,), "matrix_ratio": (3, 2, 2)}.get(name, ())
+        return right | {name: np.full(shape, value) if shape else value}
     changed = np.array(right[name], float)
     changed[(0,) * changed.ndim if value <= changed.min() or np.isnan(value) else (-1,) * changed.ndim] = value
     return right | {name: changed}

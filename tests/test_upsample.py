@@ -11,7 +11,7 @@ from skies import HASTE, hazy, slow, unit_scene, views
 import skyfit
 from skyfit import OrdersOfScattering, SingleScattering, upsample
 from skyfit.atmosphere import Exponential, HenyeyGreenstein, Prescribed
-from skyfit.transport import AbstractSolver, Suns
+from skyfit.transport import AbstractSolver, Observers, Suns
 
 
 # what is held here is each integral itself, not how far its sky may be off under a low sun
@@ -104,6 +104,10 @@ class Harmonics(AbstractSolver):
     @property
     def suns(self):
         return Suns(180.0)
+
+    @property
+    def observers(self):
+        return Observers(0.0)
 
     @property
     def model_error(self):

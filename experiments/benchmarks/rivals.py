@@ -126,7 +126,9 @@ def prepare_nanodisort(optics: Optics, view: View, streams: int, layers: int = 4
     return solve
 
 
-def _sasktran2_parts(view: View, moments: int, source: str, streams: int, geometry: str, layers: int):
+def _sasktran2_parts(
+    view: View, moments: int, source: str, streams: int, geometry: str, layers: int, even: bool = False
+):
     """Configuration for two threads, geometry and rays; levels closer at the ground, for it is linear between them."""
     import sasktran2 as sk
 
@@ -135,7 +137,9 @@ def _sasktran2_parts(view: View, moments: int, source: str, streams: int, geomet
     config.single_scatter_source = sk.SingleScatterSource.Exact
     config.multiple_scatter_source = getattr(sk.MultipleScatterSource, source)
     config.delta_m_scaling = source == "DiscreteOrdinates"
-    height = 2e3 * np.expm1(np.linspace(0.0, np.log1p(TOP / 2e3), layers + 1))
+    height = (
+        np.linspace(0.0, TOP, layers + 1) if even else 2e3 * np.expm1(np.linspace(0.0, np.log1p(TOP / 2e3), layers + 1))
+    )
     sun = min(np.cos(np.radians(view.sun_zenith)), LARGEST_COSINE)
     model = sk.Geometry1D(sun, 0.0, FLAT_RADIUS if geometry == "flat" else EARTH_RADIUS, height)
     views = sk.ViewingGeometry()
@@ -149,10 +153,21 @@ def prepare_sasktran2(
     optics: Optics, view: View, source: str, streams: int = 8, geometry: str = "flat", layers: int = 40
 ) -> Callable:
     """sasktran2 with exact single scattering; `source` "NoSource" or "DiscreteOrdinates"."""
+    moments = moments_for(optics.asymmetry)
+    return _sasktran2_run(optics, moments, *_sasktran2_parts(view, moments, source, streams, geometry, layers))
+
+
+def prepare_sasktran2_orders(optics: Optics, view: View, suns: int) -> Callable:
+    """sasktran2 with successive orders on a sphere, solved under some suns, on its uniform grid of 1 km."""
+    moments = moments_for(optics.asymmetry)
+    config, model, height, views = _sasktran2_parts(view, moments, "SuccessiveOrders", 8, "spherical", 100, even=True)
+    config.num_sza = suns
+    return _sasktran2_run(optics, moments, config, model, height, views)
+
+
+def _sasktran2_run(optics: Optics, moments: int, config, model, height, views) -> Callable:
     import sasktran2 as sk
 
-    moments = moments_for(optics.asymmetry)
-    config, model, height, views = _sasktran2_parts(view, moments, source, streams, geometry, layers)
     air = sk.Atmosphere(model, config, numwavel=optics.air.size, calculate_derivatives=False)
     degree = np.arange(moments)[:, None]
     rayleigh = np.where(degree == 0, 1.0, np.where(degree == 2, 5.0 * optics.second, 0.0)) + 0.0 * optics.air

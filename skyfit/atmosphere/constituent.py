@@ -5,11 +5,12 @@ from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..numerics import ALL_WAVELENGTHS, as_float, check_wavelength, Ranged, within
 from .phase import AbstractPhase
-from .profile import AbstractProfile
+from .profile import AbstractProfile, Layered
 
 
 class AbstractConstituent(Ranged):
@@ -58,6 +59,39 @@ class Prescribed(AbstractConstituent):
     smooth_in_wavelength: ClassVar[bool] = False
     factors_out: ClassVar[bool] = False
     known_nm: ClassVar[tuple[float, float]] = ALL_WAVELENGTHS
+
+    @classmethod
+    def by_layer(
+        cls,
+        edges,
+        optical_depth,
+        phase: AbstractPhase | None = None,
+        single_scattering_albedo=1.0,
+    ) -> tuple["Prescribed", ...]:
+        """Homogeneous layers whose optical depths are given one by one, as models of the atmosphere are exchanged.
+
+        A profile is the same at all wavelengths. Layers that share the column otherwise at each of them are as many
+        constituents as wavelengths, each there at its own alone: exact, in every solver.
+
+        **Arguments:** `edges` of the layers, m, increasing from 0, one more than layers; `optical_depth`
+        `[layer, wavelength]`, vertical extinction, at the scene's own wavelengths, may be traced; `phase` and
+        `single_scattering_albedo` as above.
+        **Returns:** the constituents; one, where there is one wavelength. They have no names yet:
+        `Atmosphere(None, None, None, **{f"air_{i}": part for i, part in enumerate(parts)})`.
+        """
+        depth = as_float(optical_depth)
+        if depth.ndim != 2 or np.shape(edges) != (depth.shape[0] + 1,):
+            raise ValueError(
+                "`optical_depth` must be of [layer, wavelength] and `edges` have one entry more than layers, "
+                f"got {depth.shape} and {np.shape(edges)}"
+            )
+        total, alone = jnp.sum(depth, axis=0), np.eye(depth.shape[1])
+        # of a column that is empty any shape will do
+        shares = jnp.where(total[None] > 0.0, depth, 1.0)
+        return tuple(
+            cls(total * alone[i], Layered(edges, shares[:, i]), phase, single_scattering_albedo)
+            for i in range(depth.shape[1])
+        )
 
     def optical_depth_at(self, wavelength_nm):
         if self.optical_depth.shape != wavelength_nm.shape:

@@ -139,7 +139,8 @@ def _built(block: Any, kind: type, key: str) -> Any:
 
 
 def _value(value: Any, field: Field, key: str, sizes: dict[str, tuple[str, int]]) -> Any:
-    kinds = [k for k in (field.type, *get_args(field.type)) if isinstance(k, type) and issubclass(k, eqx.Module)]
+    types = field.type, *get_args(field.type)
+    kinds = [k for k in types if isinstance(k, type) and issubclass(k, eqx.Module)]
     if kinds:
         return _built(value, kinds[0], key)
     if field.metadata.get("static"):
@@ -148,7 +149,8 @@ def _value(value: Any, field: Field, key: str, sizes: dict[str, tuple[str, int]]
             expected = " or ".join(f'"{c}"' for c in choices) or plain.__name__
             raise ValueError(f"key `{key}`: expected {expected}, found {_shown(value)}")
         return value
-    return _array(value, str(getattr(field.type, "dim_str", "")).split(), key, sizes)
+    axes = "".join(str(getattr(k, "dim_str", "")) for k in types)
+    return _array(value, axes.split(), key, sizes)
 
 
 def _array(value: Any, axes: list[str], key: str, sizes: dict[str, tuple[str, int]]) -> Any:

@@ -16,6 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 from ..numerics import (
     ALL_WAVELENGTHS,
     as_float,
+    as_float_or_none,
     associated_legendre,
     check_increasing,
     check_radians,
@@ -254,7 +255,9 @@ class CornetteShanks(AbstractPhase):
 class Tabulated(AbstractPhase):
     """A table of log values over angle and wavelength, interpolated linearly in both and normalised.
 
-    `angle` radians `[angle]`, increasing; `table_wavelength_nm` `[band]`; `log_value` `[angle, band]`.
+    `angle` radians `[angle]`, increasing; `table_wavelength_nm` `[band]`; `log_value` `[angle, band]`; `matrix_ratio`
+    `[element, angle, band]`, F12, F22 and F33 of the scattering matrix over F11 (`matrix`), as they are in [-1, 1].
+    Without it, None, `polarisation` stands for it: as air's, to this degree at 90 degrees.
 
     **Valid:** angles beyond the table have the end's value. Wavelengths beyond it are a `ValueError`, and traced ones
     have the end's value.
@@ -264,6 +267,9 @@ class Tabulated(AbstractPhase):
     table_wavelength_nm: Float[Array, " band"] = eqx.field(converter=as_float, metadata=TABLE_WAVELENGTHS)
     log_value: Float[Array, "angle band"] = eqx.field(converter=as_float, metadata=within(-80.0, 80.0))
     polarisation: Float[Array, ""] = eqx.field(converter=as_float, default=HAZE_POLARISATION, metadata=within(0.0, 1.0))
+    matrix_ratio: Float[Array, "3 angle band"] | None = eqx.field(
+        converter=as_float_or_none, default=None, metadata=within(-1.0, 1.0)
+    )
     last_degree: ClassVar[int | None] = None
 
     @property
@@ -274,6 +280,37 @@ class Tabulated(AbstractPhase):
     def __check_init__(self):
         check_increasing("angle", self.angle)
         check_increasing("table_wavelength_nm", self.table_wavelength_nm)
+        if self.matrix_ratio is not None and self.matrix_ratio.shape != (3, *self.log_value.shape):
+            raise ValueError(
+                f"`matrix_ratio` must have three elements of the shape of `log_value`, {self.log_value.shape}, "
+                f"got {self.matrix_ratio.shape}"
+            )
+
+    @classmethod
+    def from_matrix(cls, angle, table_wavelength_nm, p11, p12, p33, p22=None) -> "Tabulated":
+        r"""A table of a scattering matrix, with cubic splines between its angles.
+
+        **Arguments:** `angle` `[angle]`, radians from 0 to pi, increasing, and `table_wavelength_nm` `[band]`; the
+        elements `[angle, band]` in one unit, whatever it is: P11 > 0, P12 (negative where light is polarised as by
+        air), P33, and P22 where particles are no spheres (None: P11). **Returns:** a `Tabulated` whose angles are the
+        given and one each half degree. **Valid:** numbers, not traced ones; slopes vanish at 0 and pi, as those of
+        every smooth matrix do. P34 and P44 matter to circular polarisation only, which is neglected (`Stokes`).
+        """
+        from scipy.interpolate import CubicSpline
+
+        angle, p11 = np.asarray(angle, np.float64), np.asarray(p11, np.float64)
+        check_range("angle", angle, 0.0, np.pi, "rad")
+        check_increasing("angle", angle)
+        if angle.ndim != 1 or angle[0] > 1e-6 or angle[-1] < np.pi - 1e-6:
+            raise ValueError(f"`angle` must reach from 0 to pi, got {angle[0]:g} to {angle[-1]:g}")
+        if not np.all(p11 > 0.0):
+            raise ValueError(f"`p11` must be positive, got {p11[~(p11 > 0.0)][0]:g}")
+        rows = [np.log(p11), *(np.asarray(p) / p11 for p in (p12, p11 if p22 is None else p22, p33))]
+        dense = np.union1d(angle, np.linspace(angle[0], angle[-1], 361))
+        # what the rounding of the given angles makes twice
+        dense = dense[np.append(np.diff(dense) > 1e-5, True)]
+        spline = CubicSpline(angle, np.stack(rows), axis=1, bc_type="clamped")(dense)
+        return cls(dense, table_wavelength_nm, spline[0], matrix_ratio=np.clip(spline[1:], -1.0, 1.0))
 
     @classmethod
     def bullrich(cls) -> "Tabulated":
@@ -293,10 +330,14 @@ class Tabulated(AbstractPhase):
     def _unnormalised(self, haversine, wavelength_nm):
         check_range("haversine", haversine, 0.0, 1.0)
         check_wavelength(wavelength_nm, *self.known_nm, "all that Tabulated knows")
+        return jnp.exp(self._at(self.log_value, haversine, wavelength_nm))
+
+    def _at(self, table, haversine, wavelength_nm):
+        """A table between its angles and wavelengths."""
         inside = jnp.clip(haversine, 1e-12, 1.0 - 1e-6)
         angle = 2.0 * jnp.arctan2(jnp.sqrt(inside), jnp.sqrt(1.0 - inside))
-        over_wavelength = self.log_value @ hat_weights(wavelength_nm, self.table_wavelength_nm).T
-        return jnp.exp(hat_weights(angle, self.angle) @ over_wavelength)
+        over_wavelength = table @ hat_weights(wavelength_nm, self.table_wavelength_nm).T
+        return hat_weights(angle, self.angle) @ over_wavelength
 
     def _quadrature(self, count, wavelength_nm):
         nodes, weights = gauss_legendre(_ANGLES)
@@ -315,7 +356,9 @@ class Tabulated(AbstractPhase):
         return moments / moments[:1]
 
     def matrix(self, haversine, wavelength_nm):
-        return polarised_like_air(haversine, self.polarisation)
+        if self.matrix_ratio is None:
+            return polarised_like_air(haversine, self.polarisation)
+        return jnp.stack([self._at(ratio, haversine, wavelength_nm) for ratio in self.matrix_ratio])
 
 
 def held(table_nm: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

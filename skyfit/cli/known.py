@@ -1,6 +1,6 @@
 """What the help says of the floors beneath without loading them; tests hold it against what they have themselves."""
 
-SOLVER_NAMES = ("orders", "double", "single", "shells", "uniform")
+SOLVER_NAMES = ("orders", "spherical", "double", "single", "shells", "uniform")
 PARAMETER_NAMES = (
     "turbidity", "aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo",
     "single_scattering_albedo_slope", "asymmetry", "asymmetry_second", "forward_fraction", "forward_fraction_slope",

@@ -10,14 +10,14 @@ from jaxtyping import Array, Float
 def hat_weights(x: Float[Array, " *shape"], nodes: Float[Array, " node"]) -> Float[Array, "*shape node"]:
     """Weights of linear interpolation: `hat_weights(x, nodes) @ values` is `interp(x, nodes, values)`.
 
-    **Arguments:** `x`, any shape; `nodes`, increasing, the same unit.
+    **Arguments:** `x`, any shape; `nodes`, increasing, one at least, the same unit.
     **Returns:** weights that sum to 1 over the last axis.
     **Valid:** beyond the end nodes the end value holds (weights do not extrapolate).
     """
     lower, upper = nodes[:-1], nodes[1:]
     fraction = (x[..., None] - jnp.expand_dims(lower, range(x.ndim))) / jnp.expand_dims(upper - lower, range(x.ndim))
     ramp = jnp.clip(fraction, 0.0, 1.0)
-    ones = jnp.ones_like(ramp[..., :1])
+    ones = jnp.ones((*x.shape, 1), ramp.dtype)
     return jnp.concatenate([ones, ramp], axis=-1) - jnp.concatenate([ramp, 0.0 * ones], axis=-1)
 
 

@@ -3,6 +3,7 @@ from .air import (
     constant_ambient as constant_ambient,
     scattered_light as scattered_light,
 )
+from .bruneton import Bruneton as Bruneton, BrunetonField as BrunetonField
 from .contract import (
     AbstractSolver as AbstractSolver,
     check_scene as check_scene,
@@ -10,6 +11,7 @@ from .contract import (
     Irradiances as Irradiances,
     low_sun as low_sun,
     LowSunWarning as LowSunWarning,
+    Observers as Observers,
     Path as Path,
     Stokes as Stokes,
     Suns as Suns,
@@ -19,5 +21,6 @@ from .orders import OrdersOfScattering as OrdersOfScattering
 from .registry import SOLVERS as SOLVERS
 from .shells import Shells as Shells
 from .single import SingleScattering as SingleScattering
+from .spherical import Spherical as Spherical, SphericalField as SphericalField
 from .uniform import Uniform as Uniform
 from .upsample import upsample as upsample, Upsampled as Upsampled

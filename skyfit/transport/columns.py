@@ -234,6 +234,8 @@ def outward_columns(
     profiles: Sequence[AbstractProfile], height, cosine, geometry: Geometry
 ) -> Float[Array, "constituent ..."]:
     """`outward_column` of several profiles: one program for all that are of a kind."""
+    if not profiles:
+        return jnp.zeros((0, *height.shape), height.dtype)
     kinds: dict = {}
     for place, profile in enumerate(profiles):
         leaves, tree = jax.tree.flatten(profile)

@@ -38,7 +38,17 @@ class Suns(NamedTuple):
     error: float | None = None
 
 
+class Observers(NamedTuple):
+    """The observers whose skies a solver knows: to `highest_m` above the ground, m; 0 is none but those on it.
+
+    Above the ground views may go down too.
+    """
+
+    highest_m: float
+
+
 ALL_SUNS = Suns(180.0)
+ON_GROUND, GROUND_TO_SPACE = Observers(0.0), Observers(np.inf)
 # the largest errors of 95 % of views to 85 degrees, by backward Monte Carlo on a sphere, OrdersOfScattering.normal in
 # air of optical depth 0.05 to 0.5 and haze to 0.3: flat under a sun at 85 degrees (median to 0.12), spherical under
 # one at 89 (median to 0.03)
@@ -116,6 +126,11 @@ class AbstractSolver(Ranged):
 
     @property
     @abstractmethod
+    def observers(self) -> Observers:
+        """The observers whose radiance the solver knows in its geometry; others are refused by `check_observer`."""
+
+    @property
+    @abstractmethod
     def model_error(self) -> float:
         """The relative size of each of the smooth errors that a retrieval allows this solver (`error_shapes`)."""
 
@@ -125,7 +140,7 @@ class AbstractSolver(Ranged):
 
     @abstractmethod
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
-        """Diffuse sky radiance, W m^-2 sr^-1 nm^-1; zero for directions below the horizon."""
+        """Diffuse radiance, W m^-2 sr^-1 nm^-1; zero below the horizon of an observer on the ground."""
 
     @abstractmethod
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
@@ -133,12 +148,18 @@ class AbstractSolver(Ranged):
 
 
 def checked(method: _Method) -> _Method:
-    """A public call of a solver as one program, which refuses and flags first what can be seen: `check_scene`."""
+    """A public call of a solver as one program, which refuses and flags first what can be seen.
+
+    `check_scene`, and of all but paths `check_observer`.
+    """
     program = eqx.filter_jit(method)
 
     @functools.wraps(method)
     def call(solver, atmosphere, scene, distance=None):
         check_scene(solver, atmosphere, scene)
+        # a path may begin elsewhere
+        if distance is None:
+            check_observer(solver, scene)
         check_range("distance", distance, 0.0, np.inf, "m")
         return program(solver, atmosphere, scene, *(() if distance is None else (distance,)))
 
@@ -172,6 +193,14 @@ def low_sun(solver: AbstractSolver, sun_zenith) -> str | None:
         f"the sun is {sun:.4g} degrees from the zenith: {type(solver).__name__} in {solver.geometry} geometry may be "
         f"{100.0 * suns.error:.0f} % off from {suns.largest_deg - _LAST_DEG:g} degrees on"
     )
+
+
+def check_observer(solver: AbstractSolver, scene: Scene) -> None:
+    """A `ValueError` for an observer that the solver does not know."""
+    name = f"{type(solver).__name__} in {solver.geometry} geometry"
+    if solver.observers == ON_GROUND:
+        check_on_ground(scene, name)
+    check_range("height", scene.height, 0.0, solver.observers.highest_m, "m", f"what {name} knows")
 
 
 def check_on_ground(scene: Scene, solver: str) -> None:

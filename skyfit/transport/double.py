@@ -11,12 +11,14 @@ from ..scene import Scene
 from .contract import (
     AbstractSolver,
     check_geometry,
-    check_on_ground,
+    check_observer,
     check_scene,
     checked,
     FLAT_SUNS,
     Geometry,
     Irradiances,
+    Observers,
+    ON_GROUND,
     SCALAR_ERROR,
     SPHERICAL_SUNS,
     Suns,
@@ -75,6 +77,10 @@ class DoubleScattering(AbstractSolver):
         return SPHERICAL_SUNS if self.geometry == "spherical" else FLAT_SUNS
 
     @property
+    def observers(self) -> Observers:
+        return ON_GROUND
+
+    @property
     def model_error(self) -> float:
         return SCALAR_ERROR
 
@@ -84,7 +90,7 @@ class DoubleScattering(AbstractSolver):
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance by the first two orders of scattering, W m^-2 sr^-1 nm^-1."""
         check_scene(self, atmosphere, scene)
-        check_on_ground(scene, "DoubleScattering")
+        check_observer(self, scene)
         return self._light(atmosphere, scene, spectral_nodes(atmosphere, scene, self.spectral_nodes))
 
     @eqx.filter_jit
@@ -94,7 +100,6 @@ class DoubleScattering(AbstractSolver):
     @checked
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground: the direct beam, the light scattered once or twice, the ground's reflection."""
-        check_on_ground(scene, "DoubleScattering")
         constituents, irradiance = atmosphere.constituents, scene.solar_irradiance
         extinction = optics(constituents, scene.wavelength_nm).extinction
         beam = transmitted_sun(constituents, scene, extinction, self.geometry)

@@ -14,10 +14,11 @@ from .columns import EARTH_RADIUS, height_gain, length_scale, MIN_COSINE, slant_
 from .contract import (
     AbstractSolver,
     check_geometry,
-    check_on_ground,
     checked,
     Geometry,
     Irradiances,
+    Observers,
+    ON_GROUND,
     Path,
     SCALAR_ERROR,
     Suns,
@@ -248,6 +249,10 @@ class Shells(AbstractSolver):
         return _SPHERICAL_SUNS if self.geometry == "spherical" or self.low_sun else _FLAT_SUNS
 
     @property
+    def observers(self) -> Observers:
+        return ON_GROUND
+
+    @property
     def model_error(self) -> float:
         return SCALAR_ERROR
 
@@ -257,13 +262,11 @@ class Shells(AbstractSolver):
     @checked
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance of the layers, W m^-2 sr^-1 nm^-1; the observer on the ground."""
-        check_on_ground(scene, "Shells")
         return _radiance(self, atmosphere, scene)
 
     @checked
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground: the sun's colour (eq. 22), the sky by quadrature, the ground's reflection."""
-        check_on_ground(scene, "Shells")
         beam = sun_transmittance(atmosphere.constituents, scene, self.geometry)
         return fluxes_by_quadrature(
             lambda sky: _radiance(self, atmosphere, sky), atmosphere, scene, scene.solar_irradiance * beam

@@ -18,7 +18,9 @@ from .contract import (
     checked,
     FLAT_SUNS,
     Geometry,
+    GROUND_TO_SPACE,
     Irradiances,
+    Observers,
     Path,
     SCALAR_ERROR,
     Stokes,
@@ -42,21 +44,20 @@ def single_scattering(
     **Arguments:** `extinction`, optical depths that attenuate (a delta-M solver passes its scaled ones; what
     scatters is unscaled); `nodes`, points per view; `stokes`: I, Q and U instead of the radiance alone.
     """
-    return _scattered_once(constituents, scene, extinction, nodes, geometry, views_of(scene, geometry), stokes)
+    return single_scattering_of(constituents, scene, extinction, nodes, geometry, views_of(scene, geometry), stokes)
 
 
-def _scattered_once(
-    constituents, scene: Scene, extinction, nodes: int, geometry: Geometry, views: Views, stokes: bool = False
-):
-    reach = jnp.max(jnp.stack([c.profile.reach() for c in constituents if c.phase is not None]))
-    points, step = lit_points(views, reach, _edges(constituents), nodes, geometry)
-    profiles = [c.profile for c in constituents]
-    to_sun = slant_columns(profiles, points.height, points.sun_cosine, geometry)
-    column = jnp.moveaxis(eye_columns(profiles, views, points, geometry) + to_sun, 0, -1)
-    scatterers = [constituents[i] for i in scatterer_indices(constituents)]
-    source = jnp.stack([step * c.profile.density(points.height) for c in scatterers], axis=1)
-    source, column = jax.lax.optimization_barrier((source, column))
-    integral = _dimmed(source, column, extinction)
+def single_scattering_of(
+    constituents: tuple[AbstractConstituent, ...],
+    scene: Scene,
+    extinction: Float[Array, "constituent wavelength"],
+    nodes: int,
+    geometry: Geometry,
+    views: Views,
+    stokes: bool = False,
+) -> Float[Array, "stokes direction wavelength"]:
+    """`single_scattering` along views of the scene that may end before the air does."""
+    integral = lit_integrals(constituents, views, extinction, nodes, geometry)
     scattering = optics(constituents, scene.wavelength_nm).scattering
     total, polarised = jnp.zeros_like(integral[:, 0]), jnp.zeros_like(integral[:, 0])
     for row, i in enumerate(scatterer_indices(constituents)):
@@ -69,6 +70,25 @@ def _scattered_once(
         return total[None]
     along, across = _turned_planes(scene)
     return jnp.stack([total, along[:, None] * polarised, across[:, None] * polarised])
+
+
+def lit_integrals(
+    constituents: tuple[AbstractConstituent, ...],
+    views: Views,
+    extinction: Float[Array, "constituent wavelength"],
+    nodes: int,
+    geometry: Geometry,
+) -> Float[Array, "direction scatterer wavelength"]:
+    r"""$\int \rho_c(h(s))\, e^{-\tau(s) - \tau_\odot(s)}\, ds$ over the lit parts of views, one for each scatterer."""
+    reach = jnp.max(jnp.stack([c.profile.reach() for c in constituents if c.phase is not None]))
+    points, step = lit_points(views, reach, _edges(constituents), nodes, geometry)
+    profiles = [c.profile for c in constituents]
+    to_sun = slant_columns(profiles, points.height, points.sun_cosine, geometry)
+    column = jnp.moveaxis(eye_columns(profiles, views, points, geometry) + to_sun, 0, -1)
+    scatterers = [constituents[i] for i in scatterer_indices(constituents)]
+    source = jnp.stack([step * c.profile.density(points.height) for c in scatterers], axis=1)
+    source, column = jax.lax.optimization_barrier((source, column))
+    return _dimmed(source, column, extinction)
 
 
 def _turned_planes(scene: Scene):
@@ -168,6 +188,10 @@ class SingleScattering(AbstractSolver):
         return ALL_SUNS if self.geometry == "spherical" else FLAT_SUNS
 
     @property
+    def observers(self) -> Observers:
+        return GROUND_TO_SPACE
+
+    @property
     def model_error(self) -> float:
         return SCALAR_ERROR
 
@@ -200,7 +224,7 @@ class SingleScattering(AbstractSolver):
             depth = columns[..., 0].T @ extinction
         inscatter = jnp.zeros_like(depth)
         if scatterer_indices(constituents):
-            (once,) = _scattered_once(constituents, scene, extinction, self.nodes, self.geometry, views)
+            (once,) = single_scattering_of(constituents, scene, extinction, self.nodes, self.geometry, views)
             inscatter = once * scene.solar_irradiance[None]
         return Path(jnp.exp(-depth), inscatter)
 

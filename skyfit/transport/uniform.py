@@ -9,7 +9,18 @@ from jaxtyping import Array, Float
 from ..atmosphere import AbstractConstituent, Atmosphere
 from ..numerics import phi1
 from ..scene import above_horizon, haversine, relative_airmass, Scene
-from .contract import AbstractSolver, check_on_ground, checked, Geometry, Irradiances, Path, SCALAR_ERROR, Suns
+from .contract import (
+    AbstractSolver,
+    check_observer,
+    checked,
+    Geometry,
+    Irradiances,
+    Observers,
+    ON_GROUND,
+    Path,
+    SCALAR_ERROR,
+    Suns,
+)
 from .dome import fluxes_by_quadrature
 from .optics import optics
 
@@ -63,6 +74,10 @@ class Uniform(AbstractSolver):
         return UNIFORM_SUNS
 
     @property
+    def observers(self) -> Observers:
+        return ON_GROUND
+
+    @property
     def model_error(self) -> float:
         return SCALAR_ERROR
 
@@ -72,13 +87,11 @@ class Uniform(AbstractSolver):
     @checked
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance by one scattering in the shells, W m^-2 sr^-1 nm^-1."""
-        check_on_ground(scene, "Uniform")
         return _radiance(atmosphere, scene)
 
     @checked
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground: the direct beam, the sky by quadrature, the ground's reflection."""
-        check_on_ground(scene, "Uniform")
         sunlight = _sun(atmosphere.constituents, scene)
         return fluxes_by_quadrature(lambda sky: _radiance(atmosphere, sky), atmosphere, scene, sunlight, rings=16)
 
@@ -90,7 +103,7 @@ class Uniform(AbstractSolver):
         **Returns:** `Path`. **Valid:** near the ground: the density does not fall with height; beyond 1e9 m, and at
         infinity, objects are taken to be at 1e9 m.
         """
-        check_on_ground(scene, "Uniform")
+        check_observer(self, scene)
         shells = _shells(atmosphere.constituents, scene)
         if not shells.length.size:
             clear = jnp.zeros((distance.shape[0], scene.wavelength_nm.shape[0]))

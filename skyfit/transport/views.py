@@ -131,7 +131,7 @@ def lit_points(
     into_dark, from_dark = _shadow(views)
     if not views.aloft:
         # either in the shadow or never in it
-        pieces = [(jnp.where(into_dark <= 0.0, from_dark, 0.0), views.length)]
+        pieces = [(jnp.where(into_dark <= views.entry, from_dark, views.entry), views.length)]
     else:
         radius = EARTH_RADIUS + views.height
         lowest = jnp.clip(-radius * views.cosine, views.entry, views.length)

@@ -1,5 +1,6 @@
 """The aureole: what delta-M and exact single scattering count too much near the sun."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -8,7 +9,7 @@ from ...atmosphere import Atmosphere
 from ...numerics import legendre_series, of_angle, phi_functions, safe_sqrt
 from ...scene import above_horizon, haversine, Scene
 from ..columns import slant_columns
-from ..optics import optics
+from ..optics import Optics, optics
 from .layering import peaked, Resolution
 
 
@@ -25,15 +26,23 @@ def aureole_excess(
     $P'' = \sum_l (2l+1)(2\rho_l - \rho_l^2) P_l$, where $\rho_l$ is 1 for the moments that the streams carry and the
     phase function's moment over f beyond, and
     $\chi = \tau_v \tau_s \int_0^1 t\, e^{-\tau_v (1-t) - \tau_s t} dt$, $\tau_v$ along the view, $\tau_s$ that of the
-    sun times $1 - \omega f$. Optics are means over the column.
+    sun times $1 - \omega f$. Optics are means over the column above the observer. Views down have none of it.
 
     **Valid:** within ten degrees of the sun, where it is up to some per cent of the light; it dies away beyond.
     **Source:** Nakajima & Tanaka 1988, JQSRT 40, 51, eq. 63 to 66.
     """
     constituents, wavelength = atmosphere.constituents, scene.wavelength_nm
     depth, (count, _) = optics(constituents, wavelength), resolution.for_phases(constituents)
-    whole = jnp.sum(depth.extinction, axis=0)
-    share = depth.scattering / jnp.where(whole > 0.0, whole, 1.0)[None]
+    profiles, mixed, level = [c.profile for c in constituents], depth, jnp.zeros_like(scene.sun_zenith)
+    if scene.height is not None:
+        level = scene.height
+        left = jnp.stack([profile.column_above(level) for profile in profiles])[:, None]
+        # only the mixture counts: of the size of one, or the squares of what is left in space vanish
+        most = jax.lax.stop_gradient(jnp.max(left))
+        left = left / jnp.where(most > 0.0, most, 1.0)
+        mixed = Optics(left * depth.extinction, left * depth.scattering)
+    whole = jnp.sum(mixed.extinction, axis=0)
+    share = mixed.scattering / jnp.where(whole > 0.0, whole, 1.0)[None]
     half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)
     phases = peaked(constituents)
     value = sum(share[i][None] * phase.at_haversine(half, wavelength) for i, phase in phases)
@@ -47,9 +56,8 @@ def aureole_excess(
     angle = 2.0 * jnp.arctan2(safe_sqrt(half), safe_sqrt(1.0 - half))
     series = jnp.where(carried, peak**2 - 2.0 * peak * moments, -(moments**2)) * weight
     forward = of_angle(legendre_series(1, _SQUARED)[:, 0], angle).T @ series + 8.0 * np.pi * peak * value
-    profiles = [c.profile for c in constituents]
     cosine = jnp.concatenate([jnp.cos(scene.sun_zenith)[None], jnp.maximum(jnp.cos(scene.view.zenith), 0.0)])
-    slant = slant_columns(profiles, jnp.zeros_like(cosine), cosine, resolution.geometry).T @ depth.extinction
+    slant = slant_columns(profiles, level + jnp.zeros_like(cosine), cosine, resolution.geometry).T @ depth.extinction
     sun, view = slant[:1] * (1.0 - peak), slant[1:]
     between = jnp.abs(view - sun)
     first, second = phi_functions(between)

@@ -147,6 +147,25 @@ def level_heights(constituents: tuple[AbstractConstituent, ...], levels: int) ->
     return jnp.clip(climbed, 0.0, 1.0) @ jnp.diff(height)
 
 
+def depth_above(
+    constituents: tuple[AbstractConstituent, ...],
+    layers: "Layers",
+    observer: Float[Array, ""],
+    extinction: Float[Array, "constituent wavelength"],
+) -> Float[Array, "layer wavelength"]:
+    """The share of each layer's optical depth that lies above an observer: 1 over one on the ground, to the last bit.
+
+    **Arguments:** `observer`, height above the ground, m; `extinction`, the optical depths that made the layers.
+    **Returns:** dimensionless, in [0, 1]; within a layer it is linear in what the constituents have there.
+    """
+    above = jnp.stack([c.profile.column_above(layers.height[1:]) for c in constituents])
+    upper = jnp.pad(above[:, :-1], ((0, 0), (1, 0)))
+    here = jnp.stack([c.profile.column_above(observer) for c in constituents])[:, None]
+    part = (jnp.clip(here, upper, above) - upper).T @ extinction
+    filled = layers.depth > 0.0
+    return jnp.clip(jnp.where(filled, part, 0.0) / jnp.where(filled, layers.depth, 1.0), 0.0, 1.0)
+
+
 def layered(
     atmosphere: Atmosphere,
     scene: Scene,

@@ -1,4 +1,4 @@
-"""The light that the field in the layers sends toward an observer on the ground."""
+"""The light that the field in the layers, and the ground under them, send toward an observer."""
 
 from typing import NamedTuple
 
@@ -10,17 +10,19 @@ from jaxtyping import Array, Float
 from ...atmosphere import Atmosphere
 from ...numerics import legendre_series, of_angle, phi_functions
 from ...scene import above_horizon, Scene
-from ..columns import layer_airmass
-from .layering import Resolution
+from ..columns import layer_airmass, MIN_COSINE
+from ..optics import optics, transmitted_sun
+from ..views import end_points, eye_columns, views_of
+from .layering import depth_above, Resolution, scaled_optics
 from .polarisation import sources_of_stokes
 from .streams import degree_index, diffuse_field
 from .sweep import sloped
 
 
 class Multiple(NamedTuple):
-    """Light of second and higher orders toward an observer on the ground, fluxes of diffuse light and beam onto it.
+    """Light of second and higher orders toward an observer, fluxes of diffuse light and beam onto the ground.
 
-    All per unit solar irradiance.
+    All per unit solar irradiance. What the ground reflects into views down is in the light.
     """
 
     light: Float[Array, "stokes direction wavelength"]
@@ -36,9 +38,10 @@ def multiple_scattering(
     resolution: Resolution,
     stokes: bool = False,
 ) -> Multiple:
-    """What an observer on the ground gets of second and higher orders of scattering.
+    """What an observer gets of second and higher orders of scattering and of the ground.
 
-    **Arguments:** `ground_albedo` at the wavelengths. **Returns:** a `Multiple`: the radiance alone, or with `stokes`
+    **Arguments:** `scene`, whose observer stands anywhere in flat geometry, else on the ground; `ground_albedo` at the
+    wavelengths. **Returns:** a `Multiple`: the radiance alone, or with `stokes`
     (of a polarised resolution) I, Q and U.
     """
     layers, field = diffuse_field(atmosphere, scene, wavelength_nm, ground_albedo, resolution, stokes)
@@ -63,10 +66,18 @@ def multiple_scattering(
     sources = [jnp.einsum("hd,hkw->kdw", basis, every)]
     if stokes and field.polarised is not None:
         sources += [*sources_of_stokes(field.polarised, scene)]
-    airmass = layer_airmass(layers.height, cosine, resolution.geometry)
-    light = jnp.stack([_seen(source, layers.depth, airmass) for source in sources])
     beam = jnp.maximum(jnp.cos(scene.sun_zenith), 0.0) * layers.beam[-1]
-    return Multiple(jnp.where(above_horizon(view.zenith)[None, :, None], light, 0.0), field.ground_flux, beam)
+    if scene.height is None:
+        airmass = layer_airmass(layers.height, cosine, resolution.geometry)
+        light = jnp.stack([_seen(source, layers.depth, airmass) for source in sources])
+        light = jnp.where(above_horizon(view.zenith)[None, :, None], light, 0.0)
+        return Multiple(light, field.ground_flux, beam)
+    extinction = scaled_optics(atmosphere.constituents, wavelength_nm, resolution).extinction
+    share = depth_above(atmosphere.constituents, layers, scene.height, extinction)
+    # where little comes through thick layers, their slopes may undershoot
+    reflected = layers.ground_albedo * jnp.maximum(field.ground_flux + beam, 0.0) / np.pi
+    light = _seen_aloft(jnp.stack(sources), layers.depth, share, reflected, view.zenith)
+    return Multiple(light, field.ground_flux, beam)
 
 
 @jax.custom_jvp
@@ -102,3 +113,48 @@ def _seen_tangent(primals, tangents):
     tangent = jnp.einsum("kdw,kdw->dw", by_source, source)
     tangent += jnp.einsum("kdw,kw->dw", by_depth, depth)
     return radiance, tangent + jnp.einsum("kdw,kd->dw", by_airmass, airmass)
+
+
+def bare_ground(atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
+    """The ground through flat air that scatters nothing, seen from above, per unit solar irradiance, sr^-1."""
+    constituents, wavelength = atmosphere.constituents, scene.wavelength_nm
+    extinction = optics(constituents, wavelength).extinction
+    lit = jnp.maximum(jnp.cos(scene.sun_zenith), 0.0) * transmitted_sun(constituents, scene, extinction, "flat")
+    views, depth = views_of(scene, "flat"), jnp.zeros((scene.view.zenith.shape[0], *wavelength.shape), extinction.dtype)
+    if constituents:
+        columns = eye_columns([c.profile for c in constituents], views, end_points(views, "flat"), "flat")
+        depth = columns[..., 0].T @ extinction
+    light = (atmosphere.ground.reflectance(wavelength) * lit / np.pi)[None] * jnp.exp(-depth)
+    return jnp.where(above_horizon(scene.view.zenith)[:, None], 0.0, light)
+
+
+def _seen_aloft(
+    sources: Float[Array, "stokes layer direction wavelength"],
+    depth: Float[Array, "layer wavelength"],
+    share: Float[Array, "layer wavelength"],
+    reflected: Float[Array, " wavelength"],
+    zenith: Float[Array, " direction"],
+) -> Float[Array, "stokes direction wavelength"]:
+    """Radiance at an observer over whom `share` of each layer lies, on a flat Earth.
+
+    Up: of the layers above. Down: of those below and of the ground, which is not polarised. Sources are linear within
+    each layer, as for the observer on the ground; of the layer about the observer each view has its part.
+    """
+    climbs = above_horizon(zenith)[None, :, None]
+    airmass = 1.0 / jnp.maximum(jnp.abs(jnp.cos(zenith)), MIN_COSINE)
+    slant = depth[:, None] * airmass[None, :, None]
+    above = share[:, None] + jnp.zeros_like(slant)
+    part = jnp.where(climbs, above, 1.0 - above)
+    slant = part * slant
+    # between the observer and each layer
+    total = jnp.cumsum(slant, axis=0)
+    between = jnp.where(climbs, total[-1:] - total, total - slant)
+    first, second = phi_functions(slant)
+    weight = slant * jnp.exp(-between)
+    lean = weight * (0.5 * first - second) * part
+    # the step of a source is from the top down: of the light that goes up, the other way round
+    tilt = weight * first * jnp.where(climbs, 0.5 * (above - 1.0), 0.5 * above) + jnp.where(climbs, -lean, lean)
+    step = jnp.stack([sloped(source, depth[:, None]) for source in sources])
+    light = jnp.sum((weight * first)[None] * sources + tilt[None] * step, axis=1)
+    ground = jnp.where(climbs[0], 0.0, jnp.exp(-total[-1]) * reflected[None])
+    return light + jnp.pad(ground[None], ((0, light.shape[0] - 1), (0, 0), (0, 0)))

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from ...atmosphere import Atmosphere
 from ...numerics import chebyshev_nodes, chebyshev_weights, concrete
-from ...scene import Scene
+from ...scene import above_horizon, Scene
 from .layering import Resolution
 from .reconstruct import Multiple, multiple_scattering
 
@@ -101,7 +101,7 @@ def interpolated(
         jnp.concatenate([jnp.zeros_like(every), jnp.full_like(every, _LIT)]),
         resolution.coarse(),
     )
-    reference = _positive(coarse)
+    reference = _positive(coarse, _air_seen(atmosphere, scene))
     sizes = (*wavelength.shape, few.black, few.lit)
     dark, dark_black, dark_lit, bright, _, bright_lit = cut(reference, *sizes, *sizes)
     over_black, over_lit = cut(jnp.concatenate([solved.light[0], _flux(solved)[None]]), few.black, few.lit)
@@ -126,9 +126,20 @@ def _flux(found: Multiple):
     return found.diffuse + found.beam
 
 
-def _positive(found: Multiple):
+def _air_seen(atmosphere: Atmosphere, scene: Scene) -> Float[Array, " direction"] | None:
+    """The share of what scatters that each view has before it, at least; None on the ground, where it is all."""
+    if scene.height is None:
+        return None
+    left = [c.profile.column_above(scene.height) for c in atmosphere.constituents if c.phase is not None]
+    return jnp.where(above_horizon(scene.view.zenith), jnp.max(jnp.stack(left)), 1.0)
+
+
+def _positive(found: Multiple, seen: Float[Array, " direction"] | None):
     """Radiances and, as the last row, the flux onto the ground, none of them under a share of the diffuse light's."""
-    least = jnp.maximum(_LEAST_SHARE / np.pi * found.diffuse, _DARK)[None]
+    least = (_LEAST_SHARE / np.pi * found.diffuse)[None]
+    if seen is not None:
+        least = jnp.pad(seen, (0, 1), constant_values=1.0)[:, None] * least
+    least = jnp.maximum(least, _DARK)
     return jnp.maximum(jnp.concatenate([found.light[0], _flux(found)[None]]), least)
 
 

@@ -1,0 +1,2 @@
+from .field import BrunetonField as BrunetonField
+from .solver import Bruneton as Bruneton

@@ -1,0 +1,2 @@
+from .field import SphericalField as SphericalField
+from .solver import Spherical as Spherical

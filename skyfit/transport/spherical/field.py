@@ -1,0 +1,277 @@
+"""A solved spherical atmosphere: its light for every observer, view and sun that it was solved for."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...atmosphere import Atmosphere
+from ...numerics import as_float, check_range, concrete, gauss_legendre, safe_sqrt
+from ...scene import above_horizon, Scene
+from ..columns import EARTH_RADIUS, length_scale
+from ..contract import Irradiances, Path
+from ..optics import optics, scatterer_indices, transmitted_sun
+from ..single import single_scattering_of
+from ..views import end_points, eye_columns, Points, points_at, Views, views_of
+from . import harmonics as sun_harmonics
+from .first import sun_on_ground
+from .grid import cubic, cubic_weights, dusk, height_coordinate, NEAR_CLIMB, Resolution, sun_coordinate
+from .medium import completed, Medium, medium_of
+from .transfer import Solution
+
+
+_LEAST = 1e-30
+
+
+# parts of views, where they begin and end
+Lit = Sequence[tuple[Float[Array, " direction"], Float[Array, " direction"]]]
+
+
+class SphericalField(eqx.Module):
+    """The light of one atmosphere, solved by `Spherical.prepare`.
+
+    `suns_deg`, the zenith angles between which suns, and `highest`, the height (m) to which observers are answered.
+    """
+
+    atmosphere: Atmosphere
+    wavelength_nm: Float[Array, " wavelength"]
+    solution: Solution
+    sun_place: Float[Array, " sun"]
+    suns_deg: Float[Array, "2"]
+    highest: Float[Array, ""]
+    resolution: Resolution = eqx.field(static=True)
+
+    def radiance(self, scene: Scene) -> Float[Array, "direction wavelength"]:
+        """Radiance of sky and ground, W m^-2 sr^-1 nm^-1; zero below the horizon of an observer on the ground.
+
+        **Arguments:** `scene`, its wavelengths those of the field. **Errors:** `ValueError` for a sun, a height or
+        wavelengths that the field was not solved for, where they are not traced.
+        """
+        self._check(scene)
+        return self._radiance(scene)
+
+    def path(self, scene: Scene, distance: Float[Array, " direction"], lit: Lit | None = None) -> Path:
+        """The air between the observer and objects, with all orders of scattering.
+
+        **Arguments:** `distance` (m) to the objects; `lit`, parts of each view that the sun shines on, pairs of
+        distances (m) where they begin and end, `[direction]` each, in any order and not overlapping: mountains and
+        clouds shade the rest. None: all but the Earth's shadow. **Returns:** `Path`. **Valid:** sunlight that is
+        scattered once is integrated over the lit parts alone; the light of higher orders stays in the shade, where it
+        is that of an open sky. A view that meets the ground ends there; the ground's own light is not in it.
+        **Source:** Bruneton & Neyret 2008, sec. 3 (eq. 17, 18), who take the higher orders out of the shade too.
+        """
+        self._check(scene)
+        check_range("distance", distance, 0.0, np.inf, "m")
+        for k, pair in enumerate(lit or ()):
+            for name, end in zip(("begin", "end"), pair, strict=True):
+                check_range(f"lit[{k}] {name}", end, 0.0, np.inf, "m")
+        pairs = None if lit is None else [tuple(as_float(end) for end in pair) for pair in lit]
+        return self._path(scene, as_float(distance), pairs)
+
+    def fluxes(self, scene: Scene) -> Irradiances:
+        """Irradiance on the ground and, as `up_at_top`, what leaves the air above it, W m^-2 nm^-1."""
+        self._check(scene)
+        return self._fluxes(scene)
+
+    def _check(self, scene: Scene) -> None:
+        suns, highest = concrete(self.suns_deg), concrete(self.highest)
+        if suns is not None and highest is not None:
+            known = f"the field was solved for suns from {suns[0]:g} to {suns[1]:g} degrees"
+            check_range("sun_zenith", scene.sun_zenith, *(np.radians(suns) + [-1e-5, 1e-5]), "rad", known)
+            known = f"the field was solved for observers to {highest:g} m"
+            check_range("height", scene.height, 0.0, float(highest), "m", known)
+        here, there = concrete(scene.wavelength_nm), concrete(self.wavelength_nm)
+        if scene.wavelength_nm.shape != self.wavelength_nm.shape or (
+            here is not None and there is not None and not np.allclose(here, there, rtol=1e-6)
+        ):
+            raise ValueError("`wavelength_nm` of the scene must be those that the field was solved for")
+
+    @eqx.filter_jit
+    def _radiance(self, scene: Scene):
+        return self.light(scene) * scene.solar_irradiance[None]
+
+    def light(self, scene: Scene) -> Float[Array, "direction wavelength"]:
+        """`radiance` per unit solar irradiance, sr^-1."""
+        medium = medium_of(self.atmosphere, self.wavelength_nm, self.resolution.moments)
+        views = views_of(scene, "spherical")
+        light = self._scattered(medium, scene, views) + _ground(self, medium, scene, views)
+        seen = views.aloft | above_horizon(scene.view.zenith)
+        return jnp.where(seen[:, None], light, 0.0)
+
+    @eqx.filter_jit
+    def _path(self, scene: Scene, distance, lit) -> Path:
+        constituents = self.atmosphere.constituents
+        medium = medium_of(self.atmosphere, self.wavelength_nm, self.resolution.moments)
+        views = views_of(scene, "spherical", distance)
+        columns = eye_columns([c.profile for c in constituents], views, end_points(views, "spherical"), "spherical")
+        depth = columns[..., 0].T @ optics(constituents, self.wavelength_nm).extinction
+        return Path(jnp.exp(-depth), self._scattered(medium, scene, views, lit) * scene.solar_irradiance[None])
+
+    def _scattered(
+        self, medium: Medium, scene: Scene, views: Views, lit: Lit | None = None
+    ) -> Float[Array, "direction wavelength"]:
+        """All orders of scattering along views, per unit solar irradiance, sr^-1."""
+        constituents = self.atmosphere.constituents
+        if not scatterer_indices(constituents):
+            return jnp.zeros((views.cosine.shape[0], *self.wavelength_nm.shape), views.cosine.dtype)
+        nodes = self.resolution.once_nodes
+        light = _multiple(self, medium, scene, views)
+        parts = [(views.entry, views.length)] if lit is None else lit
+        for begin, end in parts:
+            begin = jnp.clip(begin, views.entry, views.length)
+            part = views._replace(entry=begin, length=jnp.clip(end, begin, views.length))
+            light += single_scattering_of(constituents, scene, medium.extinction, nodes, "spherical", part)[0]
+        return light
+
+    @eqx.filter_jit
+    def _fluxes(self, scene: Scene) -> Irradiances:
+        medium = medium_of(self.atmosphere, self.wavelength_nm, self.resolution.moments)
+        cosine = jnp.cos(scene.sun_zenith)
+        constituents = self.atmosphere.constituents
+        extinction = optics(constituents, self.wavelength_nm).extinction
+        direct = jnp.maximum(cosine, 0.0) * transmitted_sun(constituents, scene, extinction, "spherical")
+        row = self._suns(scene.sun_zenith)
+        # the forward peak counts as direct light as far as the true transmittance goes
+        scaled = sun_on_ground(self.atmosphere, medium.extinction, cosine)
+        diffuse = row @ self.solution.ground + scaled - direct
+        names = sun_harmonics.kept(self.resolution.moments, bool(medium.peaks))
+        along, out = (self.solution.moments[-1, :, names.index((1, mode))] for mode in (0, 1))
+        up = -(cosine * (row @ along) + np.sqrt(2.0) * jnp.sin(scene.sun_zenith) * (row @ out))
+        light = scene.solar_irradiance
+        return Irradiances(direct * light, diffuse * light, medium.albedo * (direct + diffuse) * light, up * light)
+
+    def _suns(self, zenith):
+        """Weights of the field's suns, times `dusk`."""
+        place = sun_coordinate(zenith, self.resolution.sun_step) - self.sun_place[0]
+        return cubic_weights(place, self.sun_place.shape[0]) * dusk(zenith)[..., None]
+
+
+def _multiple(
+    field: SphericalField, medium: Medium, scene: Scene, views: Views
+) -> Float[Array, "direction wavelength"]:
+    """Light of the second and higher orders, the ground's share in them too, per unit solar irradiance, sr^-1."""
+    resolution = field.resolution
+    names = sun_harmonics.kept(resolution.moments, bool(medium.peaks))
+    travelling = sun_harmonics.travelling(names)
+    degree = np.array([pair[0] for pair in names])
+    share = as_float(sun_harmonics.weights(names))
+    distance, points, emitted = _emitters(field, medium, views, resolution.view_nodes)
+    frame = _Frame.of(scene, views)
+    where = frame.at(distance)
+    zenith = jnp.arctan2(jnp.hypot(where[1], where[2]), where[0])
+    view = (v[:, None] for v in (frame.along, frame.out, frame.aside))
+    basis = sun_harmonics.carried(names, *view, *where[1:])
+    mixed = jnp.einsum("kdnw,lkw->ldnw", jnp.stack(emitted), medium.moments[: sun_harmonics.TRAVELLING])
+    place = sun_coordinate(zenith, resolution.sun_step) - field.sun_place[0]
+    first, suns = cubic(place, field.sun_place.shape[0])
+    level, rows = cubic(height_coordinate(points.height, resolution.levels), resolution.levels)
+    table = field.solution.moments[:, :, :travelling]
+    weight = jnp.stack([across * up for across in suns for up in rows]) * dusk(zenith)[None]
+    factor = jnp.stack(basis, axis=-1) * share[None, None, :travelling]
+    # for each harmonic that travels
+    mixed = mixed[degree[:travelling]]
+
+    def corner(light, at):
+        here = table[level + at[0], first + at[1]]
+        return light + jnp.einsum("dn,dnh,hdnw,dnhw->dw", at[2], factor, mixed, here), None
+
+    places = jnp.asarray([(j, i) for i in range(4) for j in range(4)]).T
+    light = jnp.zeros((zenith.shape[0], *field.wavelength_nm.shape), zenith.dtype)
+    light, _ = jax.lax.scan(jax.checkpoint(corner), light, (*places, weight))
+    if not medium.peaks:
+        return light
+    # what does not travel: by the sun over the lowest point of each view
+    lowest = jnp.clip(-(EARTH_RADIUS + views.height) * views.cosine, views.entry, views.length)[:, None]
+    where = [v[:, 0] for v in frame.at(lowest)]
+    size = jnp.maximum(safe_sqrt(where[1] ** 2 + where[2] ** 2), 1.0)
+    lean = (where[1] * frame.out + where[2] * frame.aside) / size
+    across = (where[1] * frame.aside - where[2] * frame.out) / size
+    row = field._suns(jnp.arctan2(size, where[0]))
+    basis = sun_harmonics.of_views(names[travelling:], frame.along, lean, across) * share[travelling:, None]
+    between = cubic_weights(height_coordinate(points.height, resolution.levels), resolution.levels)
+    source = jnp.einsum("lshw,ds,hd->dlhw", field.solution.moments[:, :, travelling:], row, basis)
+    for k in medium.peaks:
+        local = jnp.einsum("dlhw,hw->dlw", source, medium.moments[degree[travelling:], k])
+        light = light + jnp.einsum("dnw,dnl,dlw->dw", emitted[k], between, local)
+    return light
+
+
+def _ground(field: SphericalField, medium: Medium, scene: Scene, views: Views) -> Float[Array, "direction wavelength"]:
+    """Light of the lit ground at the end of the views that meet it, per unit solar irradiance, sr^-1."""
+    if not views.aloft:
+        return jnp.zeros((views.cosine.shape[0], *field.wavelength_nm.shape), views.cosine.dtype)
+    ends = end_points(views, "spherical")
+    profiles = [c.profile for c in field.atmosphere.constituents]
+    depth = eye_columns(profiles, views, ends, "spherical")[..., 0].T @ medium.extinction
+    cosine = ends.sun_cosine[:, 0]
+    lit = sun_on_ground(field.atmosphere, medium.extinction, cosine)
+    lit = lit + field._suns(jnp.arccos(jnp.clip(cosine, -1.0, 1.0))) @ field.solution.ground
+    # a view that meets the ground falls all the way to it
+    meets = (ends.view_cosine[:, 0] < 0.0) & (ends.height[:, 0] < 1.0)
+    return jnp.where(meets[:, None], (medium.albedo / np.pi)[None] * lit * jnp.exp(-depth), 0.0)
+
+
+class _Frame(eqx.Module):
+    """Observer and views in the frame of the sun: along its axis, away from it where the observer is, and aside."""
+
+    start: tuple[Float[Array, " direction"], Float[Array, " direction"]]
+    along: Float[Array, " direction"]
+    out: Float[Array, " direction"]
+    aside: Float[Array, " direction"]
+
+    @classmethod
+    def of(cls, scene: Scene, views: Views) -> "_Frame":
+        radius = EARTH_RADIUS + views.height
+        turn = scene.view.azimuth - scene.sun_azimuth
+        along, out, aside = sun_harmonics.along_sun(views.cosine, turn, scene.sun_zenith)
+        return cls((radius * jnp.cos(scene.sun_zenith), radius * jnp.sin(scene.sun_zenith)), along, out, aside)
+
+    def at(self, distance: Float[Array, "direction node"]):
+        """Where views are after some metres."""
+        return (
+            self.start[0][:, None] + distance * self.along[:, None],
+            self.start[1][:, None] + distance * self.out[:, None],
+            distance * self.aside[:, None],
+        )
+
+
+def _emitters(field: SphericalField, medium: Medium, views: Views, count: int):
+    r"""Nodes of the views, and what each scatterer at them sends to the eye of the light around, dimmed, a row each.
+
+    The weights $e^{-\tau} \beta ds$ of a view sum to $1 - e^{-\tau}$ exactly.
+    """
+    profiles = [c.profile for c in field.atmosphere.constituents]
+    distance, step = _nodes(views, count)
+    points, ends = points_at(views, distance), end_points(views, "spherical")
+    every = Points(*(jnp.concatenate(pair, axis=1) for pair in zip(points, ends, strict=True)))
+    column = jnp.einsum("cdn,cw->dnw", eye_columns(profiles, views, every, "spherical"), medium.extinction)
+    density = jnp.stack([p.density(points.height) for p in profiles])
+    weight = jnp.exp(-column[:, :-1]) * step[..., None]
+    extinction = jnp.einsum("cdn,cw->dnw", density, medium.extinction)
+    scale, missing = completed(-jnp.expm1(-column[:, -1]), jnp.sum(weight * extinction, axis=1))
+    near = (jnp.arange(distance.shape[1])[None] == jnp.argmin(distance, axis=1)[:, None])[..., None]
+    weight = weight * scale[:, None] + jnp.where(near, missing[:, None] / jnp.maximum(extinction, _LEAST), 0.0)
+    scatterers = scatterer_indices(field.atmosphere.constituents)
+    emitted = [weight * density[i][..., None] * medium.scattering[k][None, None] for k, i in enumerate(scatterers)]
+    return distance, points, emitted
+
+
+def _nodes(views: Views, count: int):
+    """Distances of nodes on both sides of the lowest point of each view and the steps they stand for, m."""
+    radius = EARTH_RADIUS + views.height
+    lowest = jnp.clip(-radius * views.cosine, views.entry, views.length)
+    pieces = [(lowest, views.length - lowest, 1.0)]
+    if views.aloft:
+        pieces.append((lowest, lowest - views.entry, -1.0))
+    start = points_at(views, lowest[:, None])
+    scale = length_scale(EARTH_RADIUS + start.height, jnp.abs(start.view_cosine), NEAR_CLIMB)
+    x, share = (jnp.asarray(v, scale.dtype)[None] for v in gauss_legendre(count))
+    distances, steps = [], []
+    for low, extent, sign in pieces:
+        span = jnp.log1p(extent[:, None] / scale)
+        distances.append(low[:, None] + sign * scale * jnp.expm1(span * x))
+        steps.append(scale * span * jnp.exp(span * x) * share)
+    return jnp.concatenate(distances, axis=1), jnp.concatenate(steps, axis=1)

@@ -1,0 +1,175 @@
+"""Where the light of a spherical atmosphere is known: heights, suns, directions, and interpolation between them."""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...numerics import gauss_legendre
+from ..columns import EARTH_RADIUS, TOP_OF_AIR
+
+
+# heights are hc (exp(a x^p) - 1) of even x: hc in m and p, dense where haze lies
+_NEAR, _POWER = 1e3, 1.5
+# m; nodes of a path crowd over this height above its lowest point
+NEAR_CLIMB = 2e3
+# degrees: the step between suns, even above this zenith angle and wider below it by this much a degree
+_EVEN_ABOVE, _WIDER = 86.0, 0.3
+# the light of twilight falls as exp(-0.8 z) with the sun's zenith angle z in degrees, from about 93 on
+_FALL, _DUSK, _SOFT = 0.8, 93.0, 1.5
+
+
+class Resolution(NamedTuple):
+    """How finely a spherical atmosphere is solved, all static; see `Spherical`."""
+
+    levels: int
+    moments: int
+    zeniths: tuple[int, int, int]
+    orders: int
+    sun_step: float
+    path_nodes: int
+    first_nodes: int
+    view_nodes: int
+    once_nodes: int
+
+
+class Rays(NamedTuple):
+    """Straight rays from every level to where they leave the air or meet the ground; numpy, float64, static.
+
+    `zenith_cosine` and `solid_angle` (over all azimuths, sr) `[level, zenith]`, the last `grounded` of which meet the
+    ground. Nodes `[level, node]`: `height` (m), `cosine` of the zenith angle there, `distance` from the level and
+    `step` (m), `between`, weights of the levels there `[level, node, other level]`; `ray`, the zenith that a node
+    belongs to, `[node]`. `length` (m) of each ray, `end_height` (m) and `end_cosine` where it ends, `[level, zenith]`.
+    """
+
+    level: np.ndarray
+    zenith_cosine: np.ndarray
+    solid_angle: np.ndarray
+    grounded: int
+    height: np.ndarray
+    cosine: np.ndarray
+    distance: np.ndarray
+    step: np.ndarray
+    between: np.ndarray
+    ray: np.ndarray
+    length: np.ndarray
+    end_height: np.ndarray
+    end_cosine: np.ndarray
+
+
+def level_heights(levels: int) -> np.ndarray:
+    """Heights of the levels, m, from the ground to the top of the air."""
+    x = np.arange(levels) / (levels - 1)
+    return _NEAR * np.expm1(math.log1p(TOP_OF_AIR / _NEAR) * x**_POWER)
+
+
+def height_coordinate(height: Float[Array | np.ndarray, "..."], levels: int) -> Float[Array | np.ndarray, "..."]:
+    """The place of heights (m) among the levels, 0 to `levels` - 1."""
+    xp = _library(height)
+    share = xp.log1p(xp.clip(height, 1e-3, TOP_OF_AIR) / _NEAR) / math.log1p(TOP_OF_AIR / _NEAR)
+    return (levels - 1) * share ** (1.0 / _POWER)
+
+
+def sun_coordinate(zenith: Float[Array | np.ndarray, "..."], step: float) -> Float[Array | np.ndarray, "..."]:
+    """The place of a sun's zenith angle (rad) on the axis on which suns are `step` degrees apart in twilight."""
+    xp = _library(zenith)
+    above = (xp.rad2deg(zenith) - _EVEN_ABOVE) / step
+    return xp.where(above > 0.0, above, -xp.log1p(_WIDER * xp.maximum(-above, 0.0)) / _WIDER)
+
+
+def sun_at(place: Float[Array, "..."], step: float) -> Float[Array, "..."]:
+    """The inverse of `sun_coordinate`, rad."""
+    below = jnp.expm1(_WIDER * jnp.maximum(-place, 0.0)) / _WIDER
+    return jnp.deg2rad(_EVEN_ABOVE + step * jnp.where(place > 0.0, place, -below))
+
+
+def dusk(zenith: Float[Array, "..."]) -> Float[Array, "..."]:
+    """About how light falls with the sun's zenith angle (rad); what is interpolated between suns is divided by it."""
+    return jnp.exp(-_FALL * _SOFT * jnp.logaddexp(0.0, (jnp.rad2deg(zenith) - _DUSK) / _SOFT))
+
+
+def cubic(place: Float[Array | np.ndarray, "..."], count: int):
+    """The first of four even nodes around a place and their weights (Lagrange); the end's value beyond the ends."""
+    xp = _library(place)
+    inside = xp.clip(place, 0.0, count - 1.0)
+    first = xp.clip(xp.floor(inside).astype(np.int32) - 1, 0, count - 4)
+    t = inside - first
+    a, b, c, d = t, t - 1.0, t - 2.0, t - 3.0
+    return first, (-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0)
+
+
+def cubic_weights(place: Float[Array | np.ndarray, " *shape"], count: int) -> Float[Array | np.ndarray, "*shape node"]:
+    """`cubic` as a row of weights for all nodes."""
+    xp = _library(place)
+    first, four = cubic(place, count)
+    behind = np.arange(count).reshape(*[1] * place.ndim, count) - first[..., None]
+    row = xp.zeros(behind.shape, place.dtype)
+    for k, weight in enumerate(four):
+        row = row + xp.where(behind == k, weight[..., None], 0.0)
+    return row
+
+
+def _library(values):
+    return jnp if isinstance(values, jax.Array) else np
+
+
+def rays_of(resolution: Resolution) -> Rays:
+    """The rays by which levels see the atmosphere.
+
+    Zenith cosines by Gauss in three panels, the sky above the level, what lies between it and the ground's horizon, and
+    the ground; dense toward both horizons. Nodes by Gauss in the logarithm of the distance from the lowest point.
+    """
+    height = level_heights(resolution.levels)
+    radius = EARTH_RADIUS + height
+    horizon = -np.sqrt(height * (2.0 * EARTH_RADIUS + height)) / radius
+    (up, up_weight), (flat, flat_weight), (down, down_weight) = (gauss_legendre(count) for count in resolution.zeniths)
+    one = np.ones_like(horizon)[:, None]
+    cosine = np.concatenate(
+        [one * up**2, horizon[:, None] * (1.0 - flat), horizon[:, None] - (1.0 + horizon[:, None]) * down**2], axis=1
+    )
+    below = one + horizon[:, None]
+    weights = one * 2.0 * up * up_weight, (one - below) * flat_weight, below * 2.0 * down * down_weight
+    weight = np.concatenate(weights, axis=1)
+    first, middle, last = (range(*ends) for ends in _ends(resolution.zeniths))
+    along = radius[:, None] * cosine
+    to_top = np.sqrt(along**2 + (TOP_OF_AIR - height[:, None]) * (EARTH_RADIUS + TOP_OF_AIR + radius[:, None]))
+    to_ground = -along - np.sqrt(np.maximum(along**2 - height[:, None] * (EARTH_RADIUS + radius[:, None]), 0.0))
+    meets = (np.arange(cosine.shape[1]) >= last.start)[None] & (radius > 0.0)[:, None]
+    length = np.where(meets, to_ground, to_top - along)
+    # pieces that climb from their start, at a distance from the level, one way or the other
+    pieces = [(z, 0.0 * along[:, z], length[:, z], 1.0) for z in first]
+    pieces += [(z, -along[:, z], length[:, z] + along[:, z], 1.0) for z in middle]
+    pieces += [(z, -along[:, z], -along[:, z], -1.0) for z in middle]
+    pieces += [(z, length[:, z], length[:, z], -1.0) for z in last]
+    x, share = gauss_legendre(resolution.path_nodes)
+    nodes = []
+    for z, start, extent, sign in pieces:
+        lowest = _after(radius, cosine[:, z], start)
+        slope = np.maximum((along[:, z] + start) * sign, 0.0)
+        climb = NEAR_CLIMB * (2.0 * lowest + NEAR_CLIMB)
+        scale = (climb / (np.sqrt(slope**2 + climb) + slope))[:, None]
+        span = np.log1p(extent[:, None] / scale)
+        distance = start[:, None] + sign * scale * np.expm1(span * x)
+        there = _after(radius[:, None], cosine[:, z, None], distance)
+        step = scale * span * np.exp(span * x) * share
+        nodes.append((there - EARTH_RADIUS, (along[:, z, None] + distance) / there, distance, step))
+    end = np.where(meets, EARTH_RADIUS, EARTH_RADIUS + TOP_OF_AIR)
+    place = np.repeat([z for z, *_ in pieces], resolution.path_nodes)
+    heights, cosines, distances, steps = (np.concatenate(part, axis=1) for part in zip(*nodes, strict=True))
+    between = cubic_weights(height_coordinate(heights, resolution.levels), resolution.levels)
+    return Rays(
+        height, cosine, 2.0 * np.pi * weight, resolution.zeniths[2], heights, cosines, distances, steps, between, place,
+        length, end - EARTH_RADIUS, (along + length) / end,
+    )  # fmt: skip
+
+
+def _ends(counts):
+    ends = np.concatenate([[0], np.cumsum(counts)]).tolist()
+    return list(zip(ends[:-1], ends[1:], strict=True))
+
+
+def _after(radius, cosine, distance):
+    return np.sqrt(radius**2 + distance * (2.0 * radius * cosine + distance))

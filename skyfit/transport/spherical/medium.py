@@ -1,0 +1,103 @@
+"""What fills a spherical atmosphere as its rays meet it: optics, and weights of the light along each ray."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...atmosphere import Atmosphere
+from ...numerics import as_float
+from ..optics import optics, scatterer_indices
+from ..orders.layering import peaked, Resolution as Streams, scaled_optics
+from ..views import eye_columns, Points, Views
+from .grid import Rays
+
+
+# of a ray's light per unit optical depth; what is less scatters nothing
+_LEAST = 1e-30
+# the largest factor by which the nodes of a ray are corrected; what is missing then lies near the eye
+_MOST = 1.5
+
+
+class Medium(NamedTuple):
+    """Delta-M optics of the constituents at some wavelengths; `moments` with the factor 2 l + 1."""
+
+    extinction: Float[Array, "constituent wavelength"]
+    scattering: Float[Array, "scatterer wavelength"]
+    moments: Float[Array, "moment scatterer wavelength"]
+    albedo: Float[Array, " wavelength"]
+    # places among the scatterers of those whose moments go on
+    peaks: tuple[int, ...]
+
+
+class RayWeights(NamedTuple):
+    """What each node of a ray gives per unit source, and how much passes from its end.
+
+    `node` `[level, node, wavelength]`, m; `density` `[scatterer, level, node]`, m^-1; `passed` from the ground,
+    `[level, grounded zenith, wavelength]`.
+    """
+
+    node: Float[Array, "level node wavelength"]
+    density: Float[Array, "scatterer level node"]
+    passed: Float[Array, "level grounded wavelength"]
+
+
+def medium_of(atmosphere: Atmosphere, wavelength_nm: Float[Array, " wavelength"], moments: int) -> Medium:
+    """The optics of an atmosphere, the peaks of its phase functions beyond `moments` counted as unscattered."""
+    if not scatterer_indices(atmosphere.constituents):
+        none = jnp.zeros((0, *wavelength_nm.shape), wavelength_nm.dtype)
+        extinction = optics(atmosphere.constituents, wavelength_nm).extinction
+        return Medium(extinction, none, none[None], atmosphere.ground.reflectance(wavelength_nm), ())
+    streams = Streams(moments // 2, 1, 2, 1, "spherical")
+    scaled = scaled_optics(atmosphere.constituents, wavelength_nm, streams)
+    scatterers = scatterer_indices(atmosphere.constituents)
+    peaks = tuple(scatterers.index(i) for i, _ in peaked(atmosphere.constituents))
+    albedo = atmosphere.ground.reflectance(wavelength_nm)
+    return Medium(scaled.extinction, scaled.scattering, scaled.moments, albedo, peaks)
+
+
+def ray_weights(atmosphere: Atmosphere, medium: Medium, rays: Rays) -> RayWeights:
+    r"""Weights $e^{-\tau} ds$ of the nodes of all rays, scaled so that what a ray holds is $1 - e^{-\tau}$ exactly."""
+    constituents = atmosphere.constituents
+    profiles = [c.profile for c in constituents]
+    levels, nodes = rays.height.shape
+    spread = np.broadcast_to(rays.level[:, None], rays.height.shape)
+    eye = _views(spread, rays.zenith_cosine[:, rays.ray])
+    points = Points(*(as_float(v.reshape(-1, 1)) for v in (rays.height, rays.cosine, rays.cosine)))
+    column = eye_columns(profiles, eye, points, "spherical")[..., 0].reshape(-1, levels, nodes)
+    ends = Points(*(as_float(v.reshape(-1, 1)) for v in (rays.end_height, rays.end_cosine, rays.end_cosine)))
+    eye = _views(np.broadcast_to(rays.level[:, None], rays.length.shape), rays.zenith_cosine)
+    whole = eye_columns(profiles, eye, ends, "spherical")[..., 0].reshape(-1, *rays.length.shape)
+    whole = jnp.einsum("clz,cw->lzw", whole, medium.extinction)
+    every = jnp.stack([p.density(as_float(rays.height)) for p in profiles])
+    weight = jnp.exp(-jnp.einsum("cln,cw->lnw", column, medium.extinction)) * as_float(rays.step)[..., None]
+    # by the rays that nodes belong to
+    mine = np.arange(rays.length.shape[1])[:, None] == rays.ray[None]
+    near = np.argmin(np.where(mine[None], rays.distance[:, None], np.inf), axis=-1)
+    of_ray, nearest = as_float(mine), as_float(near[..., None] == np.arange(nodes))
+    extinction = jnp.einsum("cln,cw->lnw", every, medium.extinction)
+    scale, missing = completed(-jnp.expm1(-whole), jnp.einsum("zn,lnw,lnw->lzw", of_ray, weight, extinction))
+    weight = weight * scale[:, rays.ray] + jnp.einsum("lzn,lzw->lnw", nearest, missing) / jnp.maximum(
+        extinction, _LEAST
+    )
+    density = jnp.stack([every[i] for i in scatterer_indices(constituents)])
+    return RayWeights(weight, density, jnp.exp(-whole[:, -rays.grounded :]))
+
+
+def completed(
+    whole: Float[Array, "..."], found: Float[Array, "..."]
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Factors of the nodes' weights on a ray and what its nearest node gets besides, so that they hold the `whole`.
+
+    In thick air the nodes miss most of what is near the eye.
+    """
+    some = found > _LEAST
+    scale = jnp.minimum(jnp.where(some, whole / jnp.where(some, found, 1.0), 0.0), _MOST)
+    return scale, jnp.maximum(whole - scale * found, 0.0)
+
+
+def _views(height: np.ndarray, cosine: np.ndarray) -> Views:
+    height, cosine = as_float(height.ravel()), as_float(cosine.ravel())
+    none = jnp.zeros_like(height)
+    return Views(True, height, cosine, jnp.zeros(()), none, none, none)

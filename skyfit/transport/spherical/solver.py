@@ -1,0 +1,201 @@
+"""Multiple scattering in a spherical atmosphere, from the ground to space and from noon to deep twilight."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from ...atmosphere import Atmosphere
+from ...numerics import as_float, check_range, concrete, within
+from ...scene import Scene
+from ..columns import EARTH_RADIUS, TOP_OF_AIR
+from ..contract import (
+    AbstractSolver,
+    check_scene,
+    Geometry,
+    GROUND_TO_SPACE,
+    Irradiances,
+    Observers,
+    Path,
+    SCALAR_ERROR,
+    Suns,
+)
+from .field import Lit, SphericalField
+from .grid import Resolution, sun_coordinate
+from .transfer import solve
+
+
+_LOWEST_SUN = 108.0
+# degrees: how far from an observer on the ground suns still matter to its light, and by night
+_AROUND, _AROUND_AT_NIGHT, _NIGHT = 8.0, 14.0, 100.0
+# the suns around one that is traced, whose place is not known; how many suns are solved around others
+_TRACED = 12
+_COUNTS = (6, 8, 10, 12, 16, 20, 28)
+
+
+class Spherical(AbstractSolver):
+    r"""All orders of scattering in a spherical atmosphere over a Lambertian ground, for any observer, view and sun.
+
+    The diffuse light is kept as its moments in spherical harmonics about the sun's axis, at some heights under some
+    suns. That axis is one for the whole atmosphere: along a straight ray the angle to it stays, and only the azimuth
+    of the place turns. Sunlight scattered once is integrated exactly over what is lit of each ray. Each further order
+    takes the moments of the last one along curved paths, those of degree 3 and more, which haze alone has, by the
+    column over the place. What `orders` leave over follows as the last of them falls. Phase functions are cut by
+    delta-M; single scattering uses the whole of them (TMS).
+
+    `levels` of height; `moments` of the phase functions, even; `up`, `flat`, `down`, zenith angles of the rays of a
+    level to the sky, between its horizon and level views, and to the ground; `orders`; `sun_step`, degrees between suns
+    in twilight; `path_nodes` and `first_nodes` on rays from the levels, for diffuse light and for sunlight;
+    `view_nodes` and `nodes` the same on views.
+
+    **Valid:** suns to 108 degrees, observers from the ground to space. Scalar light: what polarisation does to it is
+    missing, as in a scalar `OrdersOfScattering`. Straight rays: refraction is left out. Layers that begin and end
+    within a kilometre are seen as coarsely as levels lie.
+    **Source:** the observer's problem and its tables: Bruneton & Neyret 2008; harmonics about the sun's axis are our
+    own; TMS: Nakajima & Tanaka 1988, JQSRT 40, 51.
+    """
+
+    levels: int = eqx.field(static=True, default=24, metadata=within(4.0, np.inf))
+    moments: int = eqx.field(static=True, default=12, metadata=within(4.0, np.inf))
+    up: int = eqx.field(static=True, default=10, metadata=within(2.0, np.inf))
+    flat: int = eqx.field(static=True, default=6, metadata=within(2.0, np.inf))
+    down: int = eqx.field(static=True, default=6, metadata=within(2.0, np.inf))
+    orders: int = eqx.field(static=True, default=5, metadata=within(2.0, np.inf))
+    sun_step: float = eqx.field(static=True, default=1.5, metadata=within(0.2, 5.0, "degrees"))
+    path_nodes: int = eqx.field(static=True, default=9, metadata=within(2.0, np.inf))
+    first_nodes: int = eqx.field(static=True, default=14, metadata=within(2.0, np.inf))
+    view_nodes: int = eqx.field(static=True, default=16, metadata=within(2.0, np.inf))
+    nodes: int = eqx.field(static=True, default=24, metadata=within(2.0, np.inf))
+    geometry: Geometry = eqx.field(static=True, default="spherical")
+
+    def __check_init__(self):
+        if self.geometry != "spherical":
+            raise ValueError(f'`geometry` must be "spherical" for Spherical, got {self.geometry!r}')
+        if self.moments % 2:
+            raise ValueError(f"`moments` must be even, got {self.moments}")
+
+    @classmethod
+    def draft(cls, geometry: Geometry = "spherical") -> "Spherical":
+        """Some per cent, an eighth of the work."""
+        return cls(
+            levels=16, moments=6, up=8, flat=4, down=4, orders=4, sun_step=2.0, path_nodes=7, first_nodes=10,
+            view_nodes=12, nodes=16, geometry=geometry,
+        )  # fmt: skip
+
+    @classmethod
+    def normal(cls, geometry: Geometry = "spherical") -> "Spherical":
+        return cls(geometry=geometry)
+
+    @classmethod
+    def fine(cls, geometry: Geometry = "spherical") -> "Spherical":
+        return cls(
+            levels=32, moments=16, up=14, flat=10, down=8, orders=8, sun_step=1.0, path_nodes=14, first_nodes=20,
+            view_nodes=24, nodes=32, geometry=geometry,
+        )  # fmt: skip
+
+    @property
+    def suns(self) -> Suns:
+        return Suns(_LOWEST_SUN)
+
+    @property
+    def observers(self) -> Observers:
+        return GROUND_TO_SPACE
+
+    @property
+    def model_error(self) -> float:
+        return SCALAR_ERROR
+
+    def coarser(self) -> AbstractSolver:
+        return Spherical.draft()
+
+    def prepare(
+        self,
+        atmosphere: Atmosphere,
+        wavelength_nm: Float[ArrayLike, " wavelength"],
+        *,
+        sun_zenith: Float[ArrayLike, "..."] | None = None,
+        height: Float[ArrayLike, "..."] | None = None,
+    ) -> SphericalField:
+        """Solves the atmosphere once, for many observers, views and suns.
+
+        **Arguments:** `wavelength_nm`; `sun_zenith` (rad), suns that will be asked for: what lies between the least and
+        the largest of them is answered, None: all to 108 degrees; `height` (m), likewise the highest observer, None:
+        the one on the ground where a sun is given, else all. **Returns:** `SphericalField`, per unit solar irradiance.
+        """
+        wavelength_nm = as_float(wavelength_nm)
+        atmosphere.check_wavelengths(wavelength_nm)
+        check_range("height", height, 0.0, 1e9, "m")
+        check_range("sun_zenith", sun_zenith, 0.0, math.radians(_LOWEST_SUN), "rad", "Spherical: suns to 108 degrees")
+        first, count, suns_deg, highest = self._window(sun_zenith, height)
+        solution, place = _solved(self._resolution(), atmosphere, wavelength_nm, as_float(first), count)
+        answered = as_float(np.array(suns_deg)), as_float(highest)
+        return SphericalField(atmosphere, wavelength_nm, solution, place, *answered, self._resolution())
+
+    def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
+        """Radiance of sky and ground, W m^-2 sr^-1 nm^-1; zero below the horizon of an observer on the ground."""
+        check_scene(self, atmosphere, scene)
+        return self._for(atmosphere, scene).radiance(scene)
+
+    def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
+        """Irradiance on the ground, and what leaves the air above it."""
+        check_scene(self, atmosphere, scene)
+        return self._for(atmosphere, scene).fluxes(scene)
+
+    def path(
+        self, atmosphere: Atmosphere, scene: Scene, distance: Float[Array, " direction"], lit: Lit | None = None
+    ) -> Path:
+        """The air between the observer and objects at `distance` (m) along each view; `lit` as the field takes it."""
+        check_scene(self, atmosphere, scene)
+        return self._for(atmosphere, scene).path(scene, distance, lit)
+
+    def _for(self, atmosphere: Atmosphere, scene: Scene) -> SphericalField:
+        height = 0.0 if scene.height is None else scene.height
+        return self.prepare(atmosphere, scene.wavelength_nm, sun_zenith=scene.sun_zenith, height=height)
+
+    def _resolution(self) -> Resolution:
+        return Resolution(
+            self.levels, self.moments, (self.up, self.flat, self.down), self.orders, self.sun_step,
+            self.path_nodes, self.first_nodes, self.view_nodes, self.nodes,
+        )  # fmt: skip
+
+    def _window(self, sun_zenith, height):
+        """The first sun's place and how many; the zenith angles (degrees) and the height (m) that they answer."""
+        suns, heights = concrete(sun_zenith), concrete(height)
+        highest = np.inf if height is None or heights is None else float(heights.max())
+        if sun_zenith is not None and height is None:
+            highest = 0.0
+        # from aloft views come to other suns, as far as the horizon and the end of the air behind it
+        dip = _dip(highest)
+        around = dip + min(dip, _dip(TOP_OF_AIR))
+        if sun_zenith is None or not np.isfinite(highest):
+            low, high = self._place(0.0), self._place(_LOWEST_SUN + _AROUND_AT_NIGHT)
+            return low, math.ceil(high - low) + 1, (0.0, _LOWEST_SUN), highest
+        if suns is None:
+            count = _TRACED + math.ceil(2.0 * around / self.sun_step)
+            middle = sun_coordinate(jax.lax.stop_gradient(jnp.mean(as_float(sun_zenith))), self.sun_step)
+            first = jnp.maximum(middle - 0.5 * (count - 1), self._place(0.0))
+            return first, count, (0.0, _LOWEST_SUN), highest
+        least, largest = np.degrees(suns.min()), np.degrees(suns.max())
+        around += _AROUND_AT_NIGHT if largest > _NIGHT else _AROUND
+        low, high = self._place(max(least - around, 0.0)), self._place(min(largest + around, 180.0))
+        # few counts, so that few programs are compiled
+        need = math.ceil(high - low) + 1
+        count = next((n for n in _COUNTS if n >= need), need)
+        return max(low - 0.5 * (count - need), self._place(0.0)), count, (float(least), float(largest)), highest
+
+    def _place(self, degrees: float) -> float:
+        return sun_coordinate(np.radians([degrees]), self.sun_step).item()
+
+
+def _dip(height: float) -> float:
+    """How far away the horizon is, in degrees at the Earth's centre."""
+    return math.degrees(math.acos(EARTH_RADIUS / (EARTH_RADIUS + min(height, 1e9))))
+
+
+@eqx.filter_jit
+def _solved(resolution: Resolution, atmosphere: Atmosphere, wavelength_nm, first, count: int):
+    place = first + jnp.arange(count)
+    return solve(atmosphere, wavelength_nm, place, resolution), place

@@ -1,0 +1,175 @@
+"""From one order of scattering to the next: light carried along curved paths to every level, under every sun."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...atmosphere import Atmosphere
+from ...numerics import as_float
+from ..columns import EARTH_RADIUS
+from . import harmonics as sun_harmonics
+from .first import FEW_AZIMUTHS, first_order, spread_azimuths
+from .grid import cubic_weights, dusk, Rays, rays_of, Resolution, sun_at, sun_coordinate
+from .medium import Medium, medium_of, ray_weights, RayWeights
+
+
+# the last order is followed by those that fall like it; no slower than this
+_SLOWEST = 0.95, 0.999
+_NO_LIGHT = 1e-30
+
+
+class Solution(NamedTuple):
+    """The diffuse light of all orders per unit solar irradiance.
+
+    `moments` of the radiance `[level, sun, harmonic, wavelength]`, over `dusk` of the sun; `ground`, diffuse irradiance
+    on level ground `[sun, wavelength]`, over `dusk`.
+    """
+
+    moments: Float[Array, "level sun harmonic wavelength"]
+    ground: Float[Array, "sun wavelength"]
+
+
+class Carrier(NamedTuple):
+    """What carries light from level to level: geometry alone, but for `rays`. Azimuths and suns are one axis, `here`.
+
+    `views`, the harmonics of the rays of a level; `basis`, those that travel, where the nodes are; `suns`, weights of
+    suns at the nodes, times `dusk` there; `ground`, the same where rays meet the ground; `between`, weights of levels
+    at the nodes.
+    """
+
+    views: Float[Array, "sun harmonic level zenith azimuth"]
+    basis: Float[Array, "level node here harmonic"]
+    suns: Float[Array, "level node here sun"]
+    ground: Float[Array, "level grounded here sun"]
+    between: Float[Array, "level node other"]
+    rays: RayWeights
+
+
+def solve(
+    atmosphere: Atmosphere,
+    wavelength_nm: Float[Array, " wavelength"],
+    sun_place: Float[Array, " sun"],
+    resolution: Resolution,
+) -> Solution:
+    """All orders of scattering at all levels under some suns, `sun_place` as `sun_coordinate` has them, one apart."""
+    rays = rays_of(resolution)
+    medium = medium_of(atmosphere, wavelength_nm, resolution.moments)
+    names = sun_harmonics.kept(resolution.moments, bool(medium.peaks))
+    if not medium.scattering.shape[0]:
+        shape = resolution.levels, *sun_place.shape, len(names), *wavelength_nm.shape
+        return Solution(jnp.zeros(shape), jnp.zeros((*sun_place.shape, *wavelength_nm.shape)))
+    azimuths = resolution.moments + 1 if medium.peaks else FEW_AZIMUTHS
+    azimuth = np.pi * (np.arange(azimuths) + 0.5) / azimuths
+    weights = ray_weights(atmosphere, medium, rays)
+    sun = sun_at(sun_place, resolution.sun_step)
+    carrier = _carrier(rays, names, azimuth, sun_place, sun, resolution, weights)
+    solid_angle = as_float(rays.solid_angle / azimuths)
+    first = first_order(atmosphere, medium, rays, azimuth, sun, weights.passed, resolution.first_nodes)
+    scale = 1.0 / dusk(sun)
+
+    def moments(light):
+        """`light` `[sun, level, zenith, azimuth, wavelength]` in harmonics, and what of it falls on the ground."""
+        weighted = light * solid_angle[None, :, :, None, None] * scale[:, None, None, None, None]
+        found = jnp.einsum("shlza,slzaw->lshw", carrier.views, weighted)
+        down = as_float(np.maximum(rays.zenith_cosine[0], 0.0))
+        return Solution(found, jnp.einsum("z,szaw->sw", down, weighted[:, 0]))
+
+    def following(order: Solution) -> Solution:
+        return moments(_carried(order, carrier, medium, rays, names, dusk(sun), azimuth))
+
+    def step(carry, _):
+        last, total = carry
+        now = following(last)
+        return (now, jax.tree.map(jnp.add, total, now)), (_mean(last), _mean(now))
+
+    start = moments(first)
+    step = jax.checkpoint(step)
+    (last, total), (before, after) = jax.lax.scan(step, (start, start), length=resolution.orders - 1)
+    before, after = before[-1], after[-1]
+    some = before > 0.0
+    # no place falls more slowly than thick air does as a whole, or than this
+    whole = jnp.sum(after, axis=(0, 1)) / jnp.maximum(jnp.sum(before, axis=(0, 1)), _NO_LIGHT)
+    slowest = jnp.clip(whole, *_SLOWEST)[None, None]
+    ratio = jnp.clip(jnp.where(some, after / jnp.where(some, before, 1.0), 0.0), 0.0, slowest)
+    more = ratio / (1.0 - ratio)
+    return Solution(
+        total.moments + more[:, :, None] * last.moments,
+        total.ground + more[0] * last.ground,
+    )
+
+
+def _mean(order: Solution):
+    return order.moments[:, :, 0]
+
+
+def _carrier(rays: Rays, names, azimuth, sun_place, sun, resolution: Resolution, weights) -> Carrier:
+    count = sun.shape[0]
+    cosine = as_float(rays.zenith_cosine)
+    radius = as_float(EARTH_RADIUS + rays.level)[:, None, None, None]
+    # `[level, zenith, azimuth, sun]`
+    turn, under = as_float(azimuth)[None, None, :, None], sun[None, None, None]
+    every = sun_harmonics.along_sun(cosine[:, :, None, None], turn, under)
+    views = jnp.moveaxis(sun_harmonics.of_views(names, *every), -1, 0)
+    few = as_float(np.pi * (np.arange(FEW_AZIMUTHS) + 0.5) / FEW_AZIMUTHS)[None, None, :, None]
+    along, out, aside = sun_harmonics.along_sun(cosine[:, :, None, None], few, under)
+
+    def there(distance, pick):
+        """Where rays come to: along the sun's axis, out from it and aside, m, `[level, node, azimuth, sun]`."""
+        distance = as_float(distance)[:, :, None, None]
+        start = radius * jnp.cos(under), radius * jnp.sin(under), 0.0
+        return [s + distance * v[:, pick] for s, v in zip(start, (along, out, aside), strict=True)]
+
+    def suns_at(place):
+        zenith = jnp.arctan2(jnp.hypot(place[1], place[2]), place[0])
+        row = cubic_weights(sun_coordinate(zenith, resolution.sun_step) - sun_place[0], count)
+        return (row * dusk(zenith)[..., None]).reshape(*zenith.shape[:2], -1, count)
+
+    place = there(rays.distance, rays.ray)
+    view = (v[:, rays.ray] for v in (along, out, aside))
+    basis = jnp.stack(sun_harmonics.carried(names, *view, *place[1:]), axis=-1)
+    basis = basis.reshape(*basis.shape[:2], -1, basis.shape[-1])
+    grounded = np.arange(rays.length.shape[1])[-rays.grounded :]
+    at_ground = suns_at(there(rays.length[:, grounded], grounded))
+    return Carrier(views, basis, suns_at(place), at_ground, as_float(rays.between), weights)
+
+
+def _carried(order: Solution, carrier: Carrier, medium: Medium, rays: Rays, names, fall, azimuth):
+    """Radiance of the next order, `[sun, level, zenith, azimuth, wavelength]`."""
+    travelling = sun_harmonics.travelling(names)
+    degree = np.array([pair[0] for pair in names])
+    share = as_float(sun_harmonics.weights(names))
+    zeniths, suns, wavelengths = rays.length.shape[1], *order.ground.shape
+    of_ray = as_float(np.arange(zeniths)[:, None] == rays.ray[None])
+    moments = order.moments[:, :, :travelling] * share[None, None, :travelling, None]
+    grounded = zeniths - rays.grounded
+
+    low = medium.moments[: sun_harmonics.TRAVELLING]
+
+    def at_level(level):
+        """What arrives at one level; scatterers are mixed at each node, for each degree that travels."""
+        basis, suns_there, between, node, density, passed, at_ground = level
+        mixed = jnp.einsum("nw,cn,cw,dcw->ndw", node, density, medium.scattering, low)
+        source = jnp.einsum("no,oshw->nshw", between, moments) * mixed[:, None, degree[:travelling]]
+        source = source.reshape(source.shape[0], suns, -1)
+        light = jnp.einsum("nxs,nsk->nxk", suns_there, source).reshape(source.shape[0], -1, travelling, wavelengths)
+        light = jnp.einsum("nxhw,nxh->nxw", light, basis)
+        light = jnp.einsum("zn,nxw->zxw", of_ray, light)
+        lit = jnp.einsum("zxs,sw->zxw", at_ground, order.ground)
+        reflected = (medium.albedo / np.pi)[None, None] * lit * passed[:, None]
+        return light.at[grounded:].add(reflected)
+
+    weights = carrier.rays.node, jnp.moveaxis(carrier.rays.density, 0, 1), carrier.rays.passed
+    light = jax.lax.map(at_level, (carrier.basis, carrier.suns, carrier.between, *weights, carrier.ground))
+    light = light.reshape(*light.shape[:2], FEW_AZIMUTHS, suns, wavelengths)
+    light = jnp.einsum("af,lzfsw->slzaw", as_float(spread_azimuths(azimuth)), light)
+    for c in medium.peaks:
+        emitted = carrier.rays.node * carrier.rays.density[c][..., None] * medium.scattering[c][None, None]
+        held = jnp.einsum("zn,lnw,lno->lzow", of_ray, emitted, carrier.between)
+        weight = medium.moments[degree[travelling:], c] * share[travelling:, None]
+        local = jnp.einsum("lzow,oshw->lzshw", held, order.moments[:, :, travelling:] * weight[None, None])
+        local = local * fall[None, None, :, None, None]
+        light = light + jnp.einsum("lzshw,shlza->slzaw", local, carrier.views[:, travelling:])
+    return light
