@@ -199,7 +199,7 @@ def test_a_file_that_is_no_netcdf(tmp_path):
 def test_a_path_that_is_not_there_or_of_another_kind(tmp_path):
     refused(lambda: read(tmp_path / "none.nc"), "none.nc", "found none")
     (tmp_path / "sky.txt").write_text("1")
-    refused(lambda: read(tmp_path / "sky.txt"), "sky.txt", "'.txt'", "*.csv")
+    refused(lambda: read(tmp_path / "sky.txt"), "sky.txt", "'.txt'", "a tidy CSV")
     (tmp_path / "sky.csv").write_text(f"{HEADER}\n{GOOD}\n")
     refused(lambda: read(tmp_path / "sky.csv", utc_offset=-4), "sky.csv", "`utc_offset`", "UTC")
     refused(lambda: read(tmp_path / "sky.csv", latitude=100), "sky.csv", "`latitude`", "100")

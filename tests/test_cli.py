@@ -403,7 +403,7 @@ def test_lobes_that_are_known_together_alone_are_shown_by_their_mean(capsys):
 
 def test_help_fits_a_narrow_window(skyfit_command, tmp_path):
     done = skyfit_command("--help", cwd=tmp_path)
-    assert all(command in done.stdout for command in ("simulate", "refit", "invert", "predict"))
+    assert all(command in done.stdout for command in ("simulate", "refit", "convert", "invert", "predict"))
     assert narrow(done.stdout)
 
 
@@ -411,7 +411,7 @@ HELPS = """
 import json, pathlib, sys
 from skyfit.cli import main
 loaded = {}
-for command in ("", "simulate", "invert", "refit", "predict"):
+for command in ("", "simulate", "convert", "invert", "refit", "predict"):
     sys.argv[1:] = [*command.split(), "--help"]
     try:
         main()

@@ -6,6 +6,7 @@ import xarray
 
 from skyfit.measured import read
 from skyfit.measured.readers.flags import harmless
+from skyfit.measured.writing import write_sky
 
 
 AXES = ("time", "direction", "wavelength")
@@ -170,3 +171,45 @@ def test_the_flags_of_the_faulty_files_are_followed(shared, file, reason, count)
     if not path.is_file():
         pytest.skip("the faulty files are absent")
     assert read(path).masked == {reason: count}
+
+
+TABLE = "view_zenith,view_azimuth,wavelength,radiance,sun_zenith,sun_azimuth"
+
+
+def table(folder, key, cells):
+    rows = [f"{z},20,500,0.{z},30,40,{cell}" for z, cell in zip(range(10, 70, 10), cells, strict=True)]
+    (folder / "sky.csv").write_text("\n".join([f"{TABLE},{key}", *rows]) + "\n")
+    return read(folder / "sky.csv")
+
+
+@pytest.mark.parametrize("key", ["quality_flag", "QC", "flag"])
+@pytest.mark.parametrize(
+    ("cells", "reasons", "how"),
+    [
+        ("000000", {}, "0 is taken as good"),
+        ("010200", {"flagged 1": 1, "flagged 2": 1}, "0 is taken as good"),
+        ("111111", {"flagged 1": 6}, "0 is taken as good"),
+        (["0", "", "0.0", "1.0", "0", "0"], {"without a flag in": 1, "flagged 1": 1}, "0 is taken as good"),
+        (
+            ["good", "bad", "OK", "cloud", "not checked", "bad"], {"flagged bad": 2, "flagged cloud": 1},
+            "words that say good are taken as such",
+        ),
+    ],
+)  # fmt: skip
+def test_a_column_of_flags_is_followed_and_a_note_says_how_many(tmp_path, key, cells, reasons, how):
+    sky = table(tmp_path, key, cells)
+    told = {f"{reason} {key}" if "without" in reason else f"{reason} by {key}": n for reason, n in reasons.items()}
+    count = sum(reasons.values())
+    assert sky.masked == told and np.count_nonzero(~sky.usable) == count
+    assert sky.notes == (f"`{key}` does not say what its flags mean: {how}, {count} of 6 rows are flagged",)
+    if count < 6:
+        # what is written knows which samples are bad, and says why
+        write_sky(sky, tmp_path / "again.csv")
+        again = read(tmp_path / "again.csv")
+        assert again.notes == sky.notes
+        np.testing.assert_array_equal(again.usable, sky.usable)
+
+
+def test_a_column_of_grades_is_none_of_flags(tmp_path):
+    sky = table(tmp_path, "quality", ["0.95", "0.9", "1", "0.2", "0", "1"])
+    assert sky.usable.all() and sky.notes == ("`quality` holds other numbers than flags: not used",)

@@ -17,7 +17,8 @@ import pytest
 import skyfit
 from skyfit.light import extraterrestrial_irradiance
 from skyfit.retrieve import simulate, start_model, with_values
-from skyfit.retrieve.batch import ended, RESULTS
+from skyfit.retrieve.batch import _examined, ended, RESULTS
+from skyfit.retrieve.prepared import flaws, prepared
 
 
 pytestmark = pytest.mark.usefixtures("haste")
@@ -96,7 +97,7 @@ def test_each_time_is_as_if_inverted_alone(sky, fits, t):
     # as the instrument would read it, by another way
     assert fits.rmse[t] == pytest.approx(alone.rmse[0], rel=1e-4)
     assert fits.samples[t] == alone.used.sum() and fits.fixed == alone.fixed
-    assert (fits.result == "successful").all() and str(fits).endswith("10 successful")
+    assert (fits.result == "successful").all() and "10 successful" in str(fits)
 
 
 @pytest.mark.slow
@@ -139,6 +140,29 @@ def test_what_cannot_be_fitted_is_flagged_and_the_rest_is_as_before(sky, fits, t
     assert np.isfinite(found.values[1]).all()
     assert "1000 times" in found.notes[6][0] and found.notes[0] == ()
     same(skyfit.read_fits(tmp_path / "f.nc"), found)
+
+
+def test_what_is_assumed_of_the_sky_is_said_as_by_invert(sky, fits, tmp_path):
+    """No date in the file, its own notes and no pressure for all; a sun in a solver's last degrees for one time."""
+    silent = replace(sky.at_times([0, 3]), pressure_pa=np.nan, notes=("a note of the file",))
+    found = skyfit.fit_many(silent, FREE, tmp_path / "f.nc", SOLVER, chunk=CHUNK)
+    alone = skyfit.invert(silent, FREE, SOLVER)
+    assert found.sky_notes == alone.notes and found.sky_notes[0] == "a note of the file"
+    assert [any(word in note for note in found.sky_notes) for word in ("no date", "no pressure or altitude")] == [1, 1]
+    assert "\nnote: a note of the file\nnote: no date" in str(found)
+    same(skyfit.read_fits(tmp_path / "f.nc"), found)
+    # the date is what these lack
+    assert len(fits.sky_notes) == 1 and "no date" in fits.sky_notes[0]
+
+
+def test_a_low_sun_is_said_of_its_time(sky):
+    solver = skyfit.OrdersOfScattering.draft("flat")
+    lowest = solver.suns.largest_deg - 1.0
+    low = replace(sky.at_times([0, 3]), sun_zenith=np.radians([40.0, lowest]))
+    asked = prepared(low, FREE, solver)
+    ends, notes = _examined(asked, np.array([0, 1]), flaws(asked))
+    assert ends == ["", ""] and "from the zenith" not in notes[0]
+    assert notes[1].startswith(f"the sun is {lowest:g} degrees from the zenith: OrdersOfScattering in flat geom")
 
 
 @pytest.mark.parametrize(

@@ -173,7 +173,10 @@ def test_every_sample_of_any_scans_is_read_in_its_place(tmp_path_factory, scans,
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda v: v.expand_dims(other=2), "`view_zenith`: expected dimension direction or time, direction, found oth"),
+        (
+            lambda v: v.expand_dims(other=2),
+            "`view_zenith`: expected dimension direction or time, direction, wavelength, found",
+        ),
         (lambda v: v.isel(direction=0, drop=True), "`view_zenith`: expected dimension direction"),
         (lambda v: v.where(v["time"] > v["time"][0]), "time 0, direction 0, column `view_zenith`"),
     ],

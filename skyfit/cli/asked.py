@@ -1,6 +1,7 @@
 """What `skyfit invert` is asked for, from words to settings."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,35 @@ from ..retrieve import check_free, PARAMETERS, PARTICLE_FREE, SkyModel, SLOW, st
 from .options import in_range
 
 
+# filters that tell the sizes of particles
+_MANY_FILTERS = 3
+
+
 def names_in(text: str) -> tuple[str, ...]:
     """Names with commas between them; `particles` stands for `PARTICLE_FREE`."""
     names = [name.strip() for name in text.split(",") if name.strip()]
     return tuple(one for name in names for one in (PARTICLE_FREE if name == "particles" else (name,)))
+
+
+def free_of(text: str, usual: tuple[str, ...], sky: Sky) -> tuple[tuple[str, ...], Sky]:
+    """The names of the free parameters, and the sky, with a note where they are other than the usual ones.
+
+    A photometer that follows the sun over an octave sees how the phase function changes with wavelength, which two
+    lobes of Henyey and Greenstein do not, and spheres do. It knows where it looks, and an almucantar does not tell a
+    shift from a haze.
+    """
+    names = names_in(text)
+    if sky.view_zenith_by_wavelength is None:
+        return names, sky
+    seen = sky.wavelength_nm[sky.usable.any(axis=(0, 1))]
+    spheres = names == usual and seen.size >= _MANY_FILTERS
+    asked = () if names == usual else tuple(name.strip() for name in text.split(","))
+    kept = tuple(n for n in (PARTICLE_FREE if spheres else names) if n in asked or not n.startswith("pointing_"))
+    if kept == names:
+        return names, sky
+    what = "spheres in two modes, pointing held" if spheres else "pointing held"
+    note = f"{what}, as of an instrument that follows the sun: --free names others"
+    return kept, replace(sky, notes=(*sky.notes, note))
 
 
 def start_of(free: tuple[str, ...], fix: Sequence[str], sky: Sky) -> SkyModel:

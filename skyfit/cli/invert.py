@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from .asked_of_files import Altitude, Latitude, Longitude, read_asked, ResponseOption, Times, UtcOffset
 from .known import DEFAULT_FREE, PARAMETER_NAMES, THRESHOLD
 from .options import (
     app,
@@ -22,10 +23,6 @@ from .options import (
 )
 
 
-Latitude = Annotated[float | None, typer.Option(help="degrees north, if the file does not tell")]
-Longitude = Annotated[float | None, typer.Option(help="degrees east, if the file does not tell")]
-UtcOffset = Annotated[float | None, typer.Option(help="hours of local time ahead of UTC (EDT: -4)")]
-Altitude = Annotated[float | None, typer.Option(help="of the station, metres")]
 FreeOption = Annotated[
     str, typer.Option(help=f"with commas: particles (sizes and index of spheres) or of {', '.join(PARAMETER_NAMES)}")
 ]
@@ -36,7 +33,7 @@ _WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 
 @app.command("invert")
 def invert_command(
-    sky: Annotated[Path, typer.Argument(help="NetCDF, CSV or a folder of ASD text exports")],
+    sky: Annotated[Path, typer.Argument(help="of an instrument, NetCDF, CSV or a folder of ASD text exports")],
     out: OutFolder,
     free: FreeOption = DEFAULT_FREE_TEXT,
     fix: Annotated[list[str] | None, typer.Option(help="name=value of a parameter that is known")] = None,
@@ -53,11 +50,8 @@ def invert_command(
     threshold: Annotated[float, typer.Option(help="of the loss, in sigma")] = THRESHOLD,
     starts: Annotated[int, typer.Option(help="of the search, random ones but for the first")] = 1,
     mask_sun: Annotated[float | None, typer.Option(help="leave out samples within so many degrees of the sun")] = None,
-    times: Annotated[
-        str | None,
-        typer.Option(help="first..last, both included, each a number from 1 or an ISO time (UTC); one may lack"),
-    ] = None,
-    response: Annotated[str | None, typer.Option(help="samples are channels: xyz, srgb or a CSV of them")] = None,
+    times: Times = None,
+    response: ResponseOption = None,
     latitude: Latitude = None,
     longitude: Longitude = None,
     utc_offset: UtcOffset = None,
@@ -80,21 +74,22 @@ def invert_command(
     from ..measured import mask_sun as without_sun, NoiseModel
     from ..records import save
     from ..retrieve import invert
-    from .asked import names_in, priors_of, response_of, shared_of, smooth_of, start_of, times_of
+    from .asked import free_of, priors_of, response_of, shared_of, smooth_of, start_of, times_of
     from .fit_report import print_fit
     from .models import make_solver
     from .printing import console, progress
 
-    names, smoothed = names_in(free), smooth_of(smooth or [])
+    smoothed = smooth_of(smooth or [])
     view = radians(in_range("--field-of-view", field_of_view, 0.0, _WIDEST_VIEW))
     measurement = NoiseModel(relative, floor, calibration, model_error, view, loss.value, threshold)
     in_range("--starts", float(starts), 1.0, _MOST_STARTS)
     priors, channels = priors_of(prior or []), response_of(response)
-    measured = _read(sky, latitude, longitude, utc_offset, altitude, fwhm, channels)
+    measured = read_asked(sky, latitude, longitude, utc_offset, altitude, fwhm, channels)
     if times is not None:
         measured = measured.at_times(times_of(times, measured))
     if mask_sun is not None:
         measured = without_sun(measured, radians(in_range("--mask-sun", mask_sun, 0.0, 180.0)))
+    names, measured = free_of(free, DEFAULT_FREE, measured)
     start = start_of(names, fix or [], measured)
     common = shared_of(names, shared, independent, tuple(smoothed), len(measured.time))
     spectral = channels is None and measured.response is None
@@ -133,17 +128,8 @@ def predict_command(
     from .printing import console, progress
 
     fitted = load(fit)
-    sky = _read(at, latitude, longitude, utc_offset, altitude, None)
+    sky = read_asked(at, latitude, longitude, utc_offset, altitude, None)
     with progress("predicting"):
         radiance = predict(fitted, sky)
     write_prediction(sky, radiance, out)
     console.print(f"{out}: {' x '.join(map(str, radiance.shape))} (time, direction, wavelength)", highlight=False)
-
-
-def _read(path: Path, latitude, longitude, utc_offset, altitude, fwhm, response=None):
-    from ..measured import read
-
-    return read(
-        path, latitude=latitude, longitude=longitude, utc_offset=utc_offset, altitude=altitude, fwhm_nm=fwhm,
-        response=response,
-    )  # fmt: skip

@@ -16,7 +16,10 @@ def mask_sun(sky: Sky, angle: float) -> Sky:
     if not 0.0 <= angle <= np.pi:
         raise ValueError(f"`angle` must be between 0 and pi rad, got {angle:g}")
     sun = [one if one.ndim == 2 else one[:, None] for one in (sky.sun_zenith, sky.sun_azimuth)]
-    cosine = cosine_from_sun(sky.view_zenith[..., None], sky.view_azimuth[..., None], *(one[:, None] for one in sun))
+    zenith, azimuth = sky.views
+    if zenith.ndim == 2:
+        zenith, azimuth = zenith[..., None], azimuth[..., None]
+    cosine = cosine_from_sun(zenith, azimuth, *(one[:, None] for one in sun))
     near = np.broadcast_to(cosine > np.cos(angle), sky.usable.shape) & sky.usable
     if not near.any():
         return sky

@@ -25,7 +25,7 @@ class NoiseModel:
     - `relative`, `floor`: standard deviation of a sample's noise, as a share of the sample and of the time's median
       radiance, added in quadrature. None: the file's sigma, or 0.02 and 0.05 where it has none.
     - `calibration`: standard deviation of the scale of each wavelength, which all times share and the fit finds with
-      this prior; 0: exact. None: 0 if the noise is given, by the file or here, else 0.01.
+      this prior; 0: exact. None: the file's, or 0 if the noise is given, by the file or here, else 0.01.
     - `model_error`: relative size of each of the smooth errors of the model that `sigma` allows for (`error_shapes`):
       by comparison with other solvers 0.006 for leaving polarisation out and 0.003 for a haze at another height; for
       skies that a solver of the same kind made, of known haze height, 0.001 (flat: 0.0005; drafts 0.004 and 0.002).
@@ -78,4 +78,6 @@ class NoiseModel:
         """The standard deviation of each wavelength's scale."""
         if self.calibration is not None:
             return self.calibration
+        if np.isfinite(sky.calibration_sigma):
+            return sky.calibration_sigma
         return 0.0 if self.stated(sky) else _CALIBRATION

@@ -6,22 +6,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
+from .possible import check_shapes, check_values, extremes, STATION_RANGES
 from .response import LineShape, Response, Seen
 
 
-# what a station can be: in the troposphere, whose pressure `pressure_at_altitude` knows; the narrowest line shape
-# tells nm from m
-STATION_RANGES = {
-    "latitude_deg": (-90.0, 90.0, "degrees, north positive"),
-    "longitude_deg": (-180.0, 360.0, "degrees, east positive"),
-    "altitude_m": (-500.0, 11e3, "m"),
-    "pressure_pa": (2e3, 120e3, "Pa"),
-    "fwhm_nm": (1e-3, 1000.0, "nm"),
-    "ozone_du": (0.0, 1000.0, "Dobson units"),
-    "sun_distance_au": (0.98, 1.02, "au"),
-}
-# An azimuth may be unwrapped by a turn or two; past seven half turns it must be in degrees.
-_LARGEST_AZIMUTH = 7.0 * np.pi
+# of each time and wavelength, and of each sample besides, where a sky has them
+_BEAM = "direct_irradiance", "direct_sigma", "aerosol_optical_depth", "aerosol_optical_depth_sigma"
+_MOVING_VIEWS = "view_zenith_by_wavelength", "view_azimuth_by_wavelength"
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +26,9 @@ class Sky:
     - `usable`: bool, same shape; False where missing, negative, saturated or suspect
     - `view_zenith`, `view_azimuth`: rad, azimuth clockwise from north; given as [direction], the same at all times, or
       as [time, direction], as which they are held; both NaN past the end of a shorter scan
+    - `view_zenith_by_wavelength`, `view_azimuth_by_wavelength`: the same at each wavelength, rad,
+      [time, direction, wavelength], where the instrument follows the sun between them (a filter wheel); the former are
+      then about their means. None where all wavelengths look the same way
     - `wavelength_nm`: nm, [wavelength], increasing; with a `response` what its channels are called, in their order
     - `sun_zenith`, `sun_azimuth`: rad, in the frame of `view_azimuth`, [time], or [time, wavelength] where the sun has
       moved between the wavelengths (a filter wheel takes its time); `sun_at` gives the mean
@@ -46,6 +40,11 @@ class Sky:
     - `response`: the channels that stand in the place of wavelengths, and `radiance` is what they read; or None
     - `direct_irradiance`, `direct_sigma`: of the sun's beam on a plane normal to it, W m^-2 nm^-1,
       [time, wavelength], NaN where missing; None where it was not measured
+    - `aerosol_optical_depth`, `aerosol_optical_depth_sigma`: of the vertical column at each wavelength, as photometers
+      have it of that beam, air and gases taken out, [time, wavelength], NaN where missing; or None
+    - `instrument`: what took the samples, in words; may be empty
+    - `calibration_sigma`: standard deviation of the scale of each wavelength, relative, which all times share; NaN if
+      unknown. `sigma` is that of the noise alone then
     - `masked`: reason -> count of samples that are not usable for it; `reason`: of each sample the place of its reason
       among these, -1 for none, by which times are counted apart; None if not known
     - `notes`: what a user of the samples should know
@@ -73,17 +72,23 @@ class Sky:
     fwhm_nm: float = float("nan")
     ozone_du: float = float("nan")
     sun_distance_au: float = float("nan")
+    calibration_sigma: float = float("nan")
     made_by: dict = field(default_factory=dict)
     response: Response | None = None
     direct_irradiance: np.ndarray | None = None
     direct_sigma: np.ndarray | None = None
+    aerosol_optical_depth: np.ndarray | None = None
+    aerosol_optical_depth_sigma: np.ndarray | None = None
+    view_zenith_by_wavelength: np.ndarray | None = None
+    view_azimuth_by_wavelength: np.ndarray | None = None
     masked: dict[str, int] = field(default_factory=dict)
     reason: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+    instrument: str = ""
     source: str = ""
 
     def __post_init__(self):
-        optional = ("sigma", "direct_irradiance", "direct_sigma")
+        optional = ("sigma", *_BEAM, *_MOVING_VIEWS)
         angles = ("view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth")
         for name in ("radiance", "wavelength_nm", *angles, *optional):
             value = getattr(self, name)
@@ -103,7 +108,7 @@ class Sky:
         except (TypeError, ValueError):
             raise ValueError("`time` must be an array of datetime64 (UTC)") from None
         object.__setattr__(self, "time", time)
-        for name in STATION_RANGES:
+        for name in (*STATION_RANGES, "calibration_sigma"):
             object.__setattr__(self, name, float(getattr(self, name)))
         object.__setattr__(self, "notes", tuple(self.notes))
         for name in ("view_zenith", "view_azimuth"):
@@ -112,8 +117,8 @@ class Sky:
                 # no copy: a long series of one pattern holds it once
                 object.__setattr__(self, name, np.broadcast_to(value, self.radiance.shape[:2]))
         self._hold_sun()
-        self._check_shapes()
-        self._check_values()
+        check_shapes(self)
+        check_values(self)
 
     def _hold_sun(self):
         """Both of the sun's angles with an axis of wavelength where one of them varies along it, else without."""
@@ -127,84 +132,6 @@ class Sky:
         for name, angle in zip(("sun_zenith", "sun_azimuth"), angles, strict=True):
             held = angle[:, 0] if still else np.broadcast_to(angle, grid) if angle.shape[1] == 1 else angle
             object.__setattr__(self, name, held)
-
-    def _check_shapes(self):
-        if self.radiance.ndim != 3:
-            raise ValueError(
-                f"`radiance` must have the axes time, direction, wavelength, got shape {self.radiance.shape}"
-            )
-        times, directions, wavelengths = self.radiance.shape
-        if 0 in self.radiance.shape:
-            raise ValueError(f"`radiance` must not be empty, got shape {self.radiance.shape}")
-        expected = {
-            "sigma": self.radiance.shape,
-            "usable": self.radiance.shape,
-            "view_zenith": (times, directions),
-            "view_azimuth": (times, directions),
-            "wavelength_nm": (wavelengths,),
-            "sun_zenith": (times, wavelengths)[: self.sun_zenith.ndim or 1],
-            "sun_azimuth": (times, wavelengths)[: self.sun_zenith.ndim or 1],
-            "time": (times,),
-            "direct_irradiance": (times, wavelengths),
-            "direct_sigma": (times, wavelengths),
-        }
-        for name, shape in expected.items():
-            value = getattr(self, name)
-            if value is not None and value.shape != shape:
-                other = f" or {shape[1:]}" if name.startswith("view") else ""
-                other = f" or {(times, wavelengths)}" if name.startswith("sun") and len(shape) == 1 else other
-                raise ValueError(
-                    f"`{name}` must have shape {shape}{other} to agree with `radiance` "
-                    f"{self.radiance.shape}, got {value.shape}"
-                )
-
-    def _check_values(self):
-        # of a shorter scan, past its end
-        absent = np.isnan(self.view_zenith) & np.isnan(self.view_azimuth)
-        nowhere = {"view_zenith": absent, "view_azimuth": absent}
-        for name in ("view_zenith", "sun_zenith"):
-            value = getattr(self, name)
-            if not np.all((value >= 0.0) & (value <= np.pi) | nowhere.get(name, False)):
-                raise ValueError(f"`{name}` must be in [0, pi] rad, got {_extremes(value)}")
-        for name in ("view_azimuth", "sun_azimuth"):
-            value = getattr(self, name)
-            if not np.all((np.abs(value) < _LARGEST_AZIMUTH) | nowhere.get(name, False)):
-                raise ValueError(f"`{name}` must be finite and in rad, got {_extremes(value)}")
-        wavelength = self.wavelength_nm
-        if self.response is not None:
-            self._check_response()
-        elif not (np.all(np.isfinite(wavelength)) and np.all(np.diff(wavelength) > 0.0)):
-            raise ValueError(f"`wavelength_nm` must increase, got {_extremes(wavelength)}")
-        if wavelength.min() <= 0.0 or wavelength.max() < 10.0:
-            raise ValueError(f"`wavelength_nm` must be in nm, got {_extremes(wavelength)}")
-        for name, (low, high, unit) in STATION_RANGES.items():
-            value = getattr(self, name)
-            if not (np.isnan(value) or low <= value <= high):
-                raise ValueError(f"`{name}` must be {low:g} to {high:g} {unit}, or NaN, got {value:g}")
-        if not np.all(np.isfinite(self.radiance[self.usable])):
-            raise ValueError("`usable` must be False where `radiance` is not finite")
-        used = self.usable.any(axis=2)
-        if np.any(used & absent):
-            raise ValueError("`usable` must be False where `view_zenith` and `view_azimuth` are NaN")
-        if np.any(used & (self.view_zenith > 0.5 * np.pi + 1e-6)):
-            raise ValueError("`usable` must be False where `view_zenith` is below the horizon, past pi/2 rad")
-        if self.sigma is not None:
-            sigma = self.sigma[self.usable]
-            if not np.all((sigma > 0.0) & np.isfinite(sigma)):
-                raise ValueError("`usable` must be False where `sigma` is not positive and finite")
-
-    def _check_response(self):
-        wavelength, channels = self.wavelength_nm, len(self.response.weight) if self.response else 0
-        if channels != len(wavelength):
-            raise ValueError(
-                f"`response` must have a channel for each of the sky's {len(wavelength)} wavelengths, got {channels}"
-            )
-        if not np.all(np.isfinite(wavelength)) or len(np.unique(wavelength)) < channels:
-            raise ValueError(f"`wavelength_nm` must differ between channels, got {_extremes(wavelength)}")
-        if np.isfinite(self.fwhm_nm):
-            raise ValueError(
-                f"`fwhm_nm` must be NaN with a `response`, which says how the instrument sees, got {self.fwhm_nm:g}"
-            )
 
     @property
     def seen(self) -> Seen:
@@ -234,9 +161,16 @@ class Sky:
         return self
 
     @property
+    def views(self) -> tuple[np.ndarray, np.ndarray]:
+        """Zenith angles and azimuths where each sample looks: [time, direction], or [time, direction, wavelength]."""
+        if self.view_zenith_by_wavelength is None or self.view_azimuth_by_wavelength is None:
+            return self.view_zenith, self.view_azimuth
+        return self.view_zenith_by_wavelength, self.view_azimuth_by_wavelength
+
+    @property
     def one_pattern(self) -> bool:
-        """Whether all times look in the same directions."""
-        views = self.view_zenith, self.view_azimuth
+        """Whether all times look in the same directions, whatever their wavelength."""
+        views = self.views
         return all(np.array_equal(view, np.broadcast_to(view[:1], view.shape), equal_nan=True) for view in views)
 
     def sun_at(self, time: int) -> tuple[float, float]:
@@ -275,7 +209,7 @@ class Sky:
         """Some of the times, in the order of `indices`; `masked` as `at` says."""
         part = np.asarray(indices, int)
         along = ("radiance", "sigma", "usable", "view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth", "time")
-        along += ("direct_irradiance", "direct_sigma")
+        along += (*_BEAM, *_MOVING_VIEWS)
         held = {name: getattr(self, name) for name in along}
         parts = {name: None if value is None else value[part] for name, value in held.items()}
         usable = self.usable[part]
@@ -315,7 +249,7 @@ class Sky:
         if self.response is not None:
             return self._channels(self.response, wanted)
         if wanted.ndim != 1 or not np.all((wanted >= own[0]) & (wanted <= own[-1])):
-            raise ValueError(f"`wavelength_nm` must lie in [{own[0]:g}, {own[-1]:g}] nm, got {_extremes(wanted)}")
+            raise ValueError(f"`wavelength_nm` must lie in [{own[0]:g}, {own[-1]:g}] nm, got {extremes(wanted)}")
         below = np.searchsorted(own, wanted, side="right") - 1
         above = np.minimum(below + 1, len(own) - 1)
         # A wavelength that is hit exactly has one neighbour: itself.
@@ -341,10 +275,13 @@ class Sky:
             wavelength_nm=wanted,
             sun_zenith=interpolate(self.sun_zenith) if moves else self.sun_zenith,
             sun_azimuth=interpolate(self.sun_azimuth, turns=True) if moves else self.sun_azimuth,
-            direct_irradiance=None if self.direct_irradiance is None else interpolate(self.direct_irradiance),
-            direct_sigma=None if self.direct_sigma is None else interpolate(self.direct_sigma),
             masked=_recount(radiance, usable, self.view_zenith),
             reason=None,
+            **{
+                name: None if values is None else interpolate(values, turns="azimuth" in name)
+                for name in (*_BEAM, *_MOVING_VIEWS)
+                for values in (getattr(self, name),)
+            },
         )
 
     def _channels(self, response: Response, wanted):
@@ -353,11 +290,11 @@ class Sky:
         if wanted.ndim != 1 or not np.array_equal(own[places], wanted) or len(set(places)) < len(places):
             raise ValueError(
                 f"`wavelength_nm` must name channels once each, of {', '.join(f'{w:g}' for w in own)} nm, got "
-                f"{_extremes(wanted)}"
+                f"{extremes(wanted)}"
             )
         parts = {
             name: value if value is None else value[..., places]
-            for name in ("radiance", "sigma", "usable", "wavelength_nm", "direct_irradiance", "direct_sigma")
+            for name in ("radiance", "sigma", "usable", "wavelength_nm", *_BEAM)
             for value in (getattr(self, name),)
         }
         if self.sun_zenith.ndim > 1:
@@ -381,15 +318,6 @@ def _recount(radiance, usable, view_zenith):
             counted[reason] = count
         left = left & ~where
     return counted
-
-
-def _extremes(values):
-    values = np.asarray(values)
-    if values.size == 0:
-        return "none"
-    if not np.all(np.isfinite(values)):
-        return "values that are not finite"
-    return f"{values.min():g} to {values.max():g}"
 
 
 def time_names(sky: Sky) -> tuple[str, ...]:

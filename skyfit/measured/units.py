@@ -21,7 +21,14 @@ _SPELLINGS = {
     "[": "(",
     "]": ")",
 }
-_POWER = {"W": 1.0, "mW": 1e-3, "uW": 1e-6, "nW": 1e-9, "kW": 1e3, "watt": 1.0, "watts": 1.0}
+_POWER = {
+    **{"W": 1.0, "mW": 1e-3, "uW": 1e-6, "nW": 1e-9, "kW": 1e3},
+    **{
+        f"{prefix}{watt}": scale
+        for prefix, scale in (("", 1.0), ("milli", 1e-3), ("micro", 1e-6), ("nano", 1e-9), ("kilo", 1e3))
+        for watt in ("watt", "watts", "Watt", "Watts")
+    },
+}
 _LENGTH = {
     "m": 1.0,
     "meter": 1.0,

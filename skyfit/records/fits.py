@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 from ..measured import atomic, NoiseModel, Response, Sky, STATION_RANGES
-from ..measured.readers.netcdf import load_dataset
+from ..measured.readers.dataset import load_dataset
 from ..measured.units import RADIANCE
 from ..measured.writing import skyfit_version
 from ..numerics import as_float
@@ -50,7 +50,7 @@ _VARIABLES = {
     "steps": (_BY_TIME, "1", "steps of the search"),
     "cost": (_BY_TIME, "1", "half the sum of squares after the loss"),
 }
-_FLAGS = ("at_bound", "determined")
+_FLAGS, _SKY_NOTES = ("at_bound", "determined"), "sky_notes"
 
 
 def fit_many(
@@ -111,8 +111,9 @@ def fit_many(
         if progress is not None:
             progress(sum(len(part["index"]) for part in chunks), times)
     fits = fits_of_parts(
-        sky, asked.free, sky.wavelength_nm[asked.chosen], chunks, fixed_values(asked.start, asked.free), settings
-    )
+        sky, asked.free, sky.wavelength_nm[asked.chosen], chunks, tuple(dict.fromkeys(asked.sampling.notes)),
+        fixed_values(asked.start, asked.free), settings,
+    )  # fmt: skip
     if target is not None and parts is not None:
         with atomic(target) as file:
             _write(fits, file)
@@ -125,7 +126,10 @@ def _settings(asked: Prepared, max_steps: int, guess: bool, starts: int) -> dict
     sky, response = asked.sky, asked.sampling.response
     station = tuple(getattr(sky, name) for name in STATION_RANGES if name != "fwhm_nm")
     samples = np.where(sky.usable, sky.radiance, np.nan)
-    views = [view[0] if sky.one_pattern else view for view in (sky.view_zenith, sky.view_azimuth)]
+    views = [view[0] if sky.one_pattern else view for view in sky.views]
+    # told only where there are some: the digest of other skies stays as it was
+    depths = [v for v in (sky.aerosol_optical_depth, sky.aerosol_optical_depth_sigma) if v is not None]
+    depths += [np.array(sky.calibration_sigma)] if np.isfinite(sky.calibration_sigma) else []
     leaves, structure = jax.tree.flatten(asked.start)
     kinds = np.frombuffer(repr(structure).encode(), np.uint8)
     return {
@@ -133,6 +137,7 @@ def _settings(asked: Prepared, max_steps: int, guess: bool, starts: int) -> dict
         "sky": _digest(
             samples, sky.sigma, sky.usable, *views, sky.wavelength_nm, sky.sun_zenith,
             sky.sun_azimuth, sky.time.astype(np.int64), station, sky.direct_irradiance, sky.direct_sigma,
+            *depths,
         ),
         "free": ", ".join(asked.free),
         "solver": _line(asked.solver),
@@ -236,7 +241,7 @@ def _write(fits: Fits, file: Path) -> None:
         "other_parameter": ("other_parameter", names),
         "wavelength": ("wavelength", fits.fitted_nm, {"units": "nm"}),
     }
-    attributes = fits.settings | {"fixed": json.dumps(fits.fixed)}
+    attributes = fits.settings | {"fixed": json.dumps(fits.fixed), _SKY_NOTES: "\n".join(fits.sky_notes)}
     xarray.Dataset(variables, coordinates, attributes).to_netcdf(file, engine="h5netcdf")
 
 
@@ -256,13 +261,15 @@ def read_fits(path: str | os.PathLike) -> Fits:
         raise ValueError(f"{path.name}: expected fits of `fit_many`, found no {(missing or ['fixed'])[0]}")
     columns = {name: data[name].values for name in _VARIABLES}
     columns |= {name: columns[name] != 0 for name in _FLAGS}
-    settings = {name: str(text) for name, text in data.attrs.items() if name != "fixed"}
+    settings = {name: str(text) for name, text in data.attrs.items() if name not in ("fixed", _SKY_NOTES)}
     return Fits(
         time=data["time"].values.astype("datetime64[ns]"),
         free=tuple(map(str, data["parameter"].values)),
         fitted_nm=data["wavelength"].values,
         result=np.array(RESULTS)[data["result"].values],
         notes=tuple(tuple(str(text).splitlines()) for text in data["notes"].values),
+        # files of earlier versions have none
+        sky_notes=tuple(str(data.attrs.get(_SKY_NOTES, "")).splitlines()),
         fixed=json.loads(data.attrs["fixed"]),
         settings=settings,
         **columns,

@@ -19,6 +19,7 @@ from ..measured import Sky
 from ..measured.quality.oddities import examine
 from ..measured.quality.plausibility import beyond_sigma, POOR
 from ..numerics.chain import Point
+from ..transport import low_sun
 from .prepared import first_points, flaws, Prepared
 from .report import described_time
 from .result import FEW
@@ -48,7 +49,9 @@ class Fits:
       "max_steps_reached", whose numbers do not hold; without any "failed" (not finite), "no_samples", "too_few_samples"
       (fewer than parameters), "sun_below_horizon", "sun_too_low" (for the solver), "not_a_sky" (no sunlight makes such
       radiance)
-    - `notes` `[time]`: sentences on what is odd about a time's samples or residuals; `fixed`: what was not fitted
+    - `notes` `[time]`: sentences on what is odd about a time's samples, sun or residuals; `sky_notes`: those that hold
+      for all times, of the sky and of what is assumed where it is silent, as in `Fit.notes`; `fixed`: what was not
+      fitted
     - `settings`: what was asked for and of which sky, as text; `time` `[time]`, UTC, NaT where unknown
     """
 
@@ -72,13 +75,15 @@ class Fits:
     cost: np.ndarray
     result: np.ndarray
     notes: tuple[tuple[str, ...], ...]
+    sky_notes: tuple[str, ...]
     fixed: dict[str, float]
     settings: dict[str, str]
 
     def __str__(self) -> str:
         counts = [(name, int(np.sum(self.result == name))) for name in RESULTS]
         told = ", ".join(f"{count} {name}" for name, count in counts if count)
-        return f"{len(self.time)} skies, {', '.join(self.free)}: {told}"
+        lines = f"{len(self.time)} skies, {', '.join(self.free)}: {told}", *(f"note: {n}" for n in self.sky_notes)
+        return "\n".join(lines)
 
 
 class Outcome(NamedTuple):
@@ -147,12 +152,15 @@ def _fetch(compiled: Callable, question: tuple) -> Any:
 
 def _examined(asked: Prepared, index: np.ndarray, flaws: list[str]) -> tuple[list[str], list[str]]:
     """Why each time is not to be fitted, or "", and what is odd about it, a sentence a line."""
-    ends, notes = [flaws[t] for t in index], [""] * len(index)
+    ends = [flaws[t] for t in index]
+    suns = (None if end else low_sun(asked.solver, asked.sky.sun_zenith[t]) for end, t in zip(ends, index, strict=True))
+    notes = [said or "" for said in suns]
     if asked.sampling.response is not None:
         return ends, notes
     for i, t in enumerate(index):
         try:
-            notes[i] = "\n".join(examine(asked.sky.at(int(t)), asked.sampling.used[t : t + 1]))
+            odd = examine(asked.sky.at(int(t)), asked.sampling.used[t : t + 1])
+            notes[i] = "\n".join([*notes[i].splitlines(), *odd])
         except ValueError as error:
             notes[i] = str(error).removeprefix("`sky` ")
             ends[i] = ends[i] or "not_a_sky"
@@ -262,6 +270,7 @@ def fits_of_parts(
     free: tuple[str, ...],
     fitted_nm: np.ndarray,
     chunks: list[dict],
+    sky_notes: tuple[str, ...],
     fixed: dict[str, float],
     settings: dict[str, str],
 ) -> Fits:
@@ -269,4 +278,7 @@ def fits_of_parts(
     order = np.argsort(np.concatenate([part["index"] for part in chunks]))
     rows = {key: np.concatenate([part[key] for part in chunks])[order] for key in chunks[0] if key != "index"}
     notes = tuple(tuple(text.splitlines()) for text in rows.pop("notes").tolist())
-    return Fits(time=sky.time, free=free, fitted_nm=fitted_nm, notes=notes, fixed=fixed, settings=settings, **rows)
+    return Fits(
+        time=sky.time, free=free, fitted_nm=fitted_nm, notes=notes, sky_notes=sky_notes, fixed=fixed,
+        settings=settings, **rows,
+    )  # fmt: skip

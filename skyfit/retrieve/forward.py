@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..atmosphere import AbstractConstituent, Rayleigh
 from ..numerics import as_float
 from ..scene import Directions, Scene
 from ..transport import AbstractSolver
@@ -18,13 +19,14 @@ class Problem(eqx.Module):
 
     Angles in radians; the sun's of each time, or of each of its channels too, between which it moved. `irradiance` at
     the top of the air in W m^-2 nm^-1, `weight` one over sigma. `response` None: samples are the radiance at the
-    wavelengths themselves. `direct` irradiance on a plane normal to the sun, or None.
+    wavelengths themselves. Views of each channel, where the instrument moves between them, go with a sun of each.
+    `direct` irradiance on a plane normal to the sun, or the haze's optical depth if `direct_is_depth`; or None.
     """
 
     sun_zenith: Float[Array, " time"] | Float[Array, "time channel"]
     sun_azimuth: Float[Array, " time"] | Float[Array, "time channel"]
-    view_zenith: Float[Array, "time direction"]
-    view_azimuth: Float[Array, "time direction"]
+    view_zenith: Float[Array, "time direction"] | Float[Array, "time direction channel"]
+    view_azimuth: Float[Array, "time direction"] | Float[Array, "time direction channel"]
     irradiance: Float[Array, "time wavelength"]
     wavelength_nm: Float[Array, "time wavelength"]
     measured: Float[Array, "time direction channel"]
@@ -33,6 +35,7 @@ class Problem(eqx.Module):
     direct: Float[Array, "time channel"] | None = None
     direct_weight: Float[Array, "time channel"] | None = None
     field_of_view: float = eqx.field(static=True, default=0.0)
+    direct_is_depth: bool = eqx.field(static=True, default=False)
 
     def at(self, times) -> "Problem":
         """The problem of some times only."""
@@ -45,6 +48,13 @@ class Problem(eqx.Module):
         # azimuths may lie on both sides of north
         aside = jnp.remainder(self.sun_azimuth - self.sun_azimuth[0] + np.pi, 2.0 * np.pi) - np.pi
         return jnp.mean(self.sun_zenith), self.sun_azimuth[0] + jnp.mean(aside)
+
+    def mean_view(self) -> tuple[Float[Array, " direction"], Float[Array, " direction"]]:
+        """Zenith angles and azimuths of the views of a problem of one time, the mean where the channels' differ."""
+        if self.view_zenith.ndim == 1:
+            return self.view_zenith, self.view_azimuth
+        aside = jnp.remainder(self.view_azimuth - self.view_azimuth[:, :1] + np.pi, 2.0 * np.pi) - np.pi
+        return jnp.mean(self.view_zenith, axis=1), self.view_azimuth[:, 0] + jnp.mean(aside, axis=1)
 
     def scene(self, model: SkyModel) -> Scene:
         """The scene of a problem of one time (its time axis taken off), pointing offsets of the instrument included."""
@@ -77,8 +87,16 @@ def observe(
     if one.direct is None:
         return radiance, None
     constituents = model.atmosphere.constituents
+    if one.direct_is_depth:
+        return radiance, haze_depth(constituents, scene.wavelength_nm)
     extinction = optics(constituents, scene.wavelength_nm).extinction
     return radiance, scene.solar_irradiance * transmitted_sun(constituents, scene, extinction, solver.geometry)
+
+
+def haze_depth(constituents: tuple[AbstractConstituent, ...], wavelength_nm) -> Float[Array, " channel"]:
+    """The vertical optical depth of all that scatters but the air, as photometers have it."""
+    haze = [c for c in constituents if c.phase is not None and not isinstance(c, Rayleigh)]
+    return sum((c.optical_depth_at(wavelength_nm) for c in haze), jnp.zeros_like(wavelength_nm))
 
 
 def _observe_each(solver, model, one: Problem):
@@ -88,21 +106,23 @@ def _observe_each(solver, model, one: Problem):
 
     def parts(problem):
         light = problem.irradiance, problem.wavelength_nm, problem.response, problem.direct
-        return problem.sun_zenith, problem.sun_azimuth, *light
+        return problem.sun_zenith, problem.sun_azimuth, problem.view_zenith, problem.view_azimuth, *light
 
     def read(own):
         radiance, direct = observe(solver, model, eqx.tree_at(parts, one, own, is_leaf=lambda part: part is None))
         return radiance[:, 0], None if direct is None else direct[0]
 
-    zenith, azimuth, irradiance, wavelength, response, direct = parts(one)
+    zenith, azimuth, *views, irradiance, wavelength, response, direct = parts(one)
+    view_axis = 1 if one.view_zenith.ndim == 2 else None
     if response is None:
         irradiance, wavelength = irradiance[:, None], wavelength[:, None]
         spectrum = 0
     else:
         response, spectrum = response[:, None], None
     direct = None if direct is None else direct[:, None]
-    axes = (0, 0, spectrum, spectrum, None if response is None else 0, None if direct is None else 0)
-    radiance, direct = jax.vmap(read, in_axes=(axes,))((zenith, azimuth, irradiance, wavelength, response, direct))
+    axes = (0, 0, view_axis, view_axis, spectrum, spectrum, None if response is None else 0)
+    given = (zenith, azimuth, *views, irradiance, wavelength, response, direct)
+    radiance, direct = jax.vmap(read, in_axes=((*axes, None if direct is None else 0),))(given)
     return radiance.T, direct
 
 

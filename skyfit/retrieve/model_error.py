@@ -33,8 +33,9 @@ def model_errors(
     def at(item):
         one, radiance = item
         sun_zenith, sun_azimuth = one.mean_sun()
-        half = haversine(one.view_zenith, sun_zenith, one.view_azimuth - sun_azimuth)
-        airmass = 1.0 / jnp.maximum(jnp.cos(one.view_zenith), 0.05)
+        view_zenith, view_azimuth = one.mean_view()
+        half = haversine(view_zenith, sun_zenith, view_azimuth - sun_azimuth)
+        airmass = 1.0 / jnp.maximum(jnp.cos(view_zenith), 0.05)
         place = one.wavelength_nm
         if one.response is not None:
             size = jnp.abs(one.response)

@@ -17,8 +17,9 @@ GAS_BANDS_NM = ((684.0, 700.0), (714.0, 742.0), (756.0, 774.0), (785.0, 850.0), 
 _MOST_WAVELENGTHS = 40
 # how many lengths the list of directions can have
 _SIZES = 4
-# of a direct beam whose sigma is not given
-_DIRECT_NOISE = 0.02
+# of a direct beam whose sigma is not given, relative, and of the haze's optical depth: AERONET's field instruments have
+# 0.01 to 0.02 under an overhead sun (Giles et al. 2019, Atmos. Meas. Tech. 12, 169)
+_DIRECT_NOISE, _DEPTH_NOISE = 0.02, 0.01
 
 
 class Sampling:
@@ -36,6 +37,8 @@ class Sampling:
         self.irradiance[inside] = self.seen.sunlight(spectrum[inside])
         self.used = self._usable()
         self.sun_factor = sun_factor(sky)[0]
+        if sky.aerosol_optical_depth is not None and sky.direct_irradiance is not None:
+            self.notes.append("direct irradiance not used beside the optical depths of the same beam")
 
     @property
     def response(self) -> Response | None:
@@ -91,24 +94,43 @@ class Sampling:
         arrays = self._arrays(slice(None), chosen)
         problem = Problem(
             **arrays,
-            view_zenith=as_float(np.nan_to_num(sky.view_zenith[rows, places])),
-            view_azimuth=as_float(np.nan_to_num(sky.view_azimuth[rows, places])),
+            **self._views(rows, places, chosen),
             measured=as_float(measured),
             weight=as_float(weight),
             direct=None if direct is None else as_float(direct[0]),
             direct_weight=None if direct is None else as_float(direct[1]),
             field_of_view=self.field_of_view,
+            direct_is_depth=sky.aerosol_optical_depth is not None,
         )
         return problem, places
+
+    def _views(self, times, directions, channels) -> dict:
+        """Views of some times, at some of the sky's wavelengths where the instrument moves between them."""
+        views = self.sky.views
+        views = views if views[0].ndim == 2 else tuple(view[..., channels] for view in views)
+        return {
+            name: as_float(np.nan_to_num(view[times, directions]))
+            for name, view in zip(("view_zenith", "view_azimuth"), views, strict=True)
+        }
 
     def _direct(self, chosen):
         """The direct beam at the chosen wavelengths and one over its sigma, None where there is none."""
         sky = self.sky
-        if sky.direct_irradiance is None or self.response is not None:
+        if self.response is not None:
             return None
-        values = sky.direct_irradiance[:, chosen]
-        sigma = _DIRECT_NOISE * np.abs(values) if sky.direct_sigma is None else sky.direct_sigma[:, chosen]
-        good = np.isfinite(values) & (values > 0.0) & np.isfinite(sigma) & (sigma > 0.0)
+        values, sigma = sky.aerosol_optical_depth, sky.aerosol_optical_depth_sigma
+        # the optical depth knows neither the instrument's scale nor the air mass
+        if values is not None:
+            sigma = np.full(values.shape, _DEPTH_NOISE) if sigma is None else sigma
+            good = np.isfinite(values)
+        elif sky.direct_irradiance is not None:
+            values, sigma = sky.direct_irradiance, sky.direct_sigma
+            sigma = _DIRECT_NOISE * np.abs(values) if sigma is None else sigma
+            good = np.isfinite(values) & (values > 0.0)
+        else:
+            return None
+        values, sigma, good = values[:, chosen], sigma[:, chosen], good[:, chosen]
+        good &= np.isfinite(sigma) & (sigma > 0.0)
         if not good.any():
             return None
         return np.where(good, values, 0.0), np.where(good, 1.0 / np.where(good, sigma, 1.0), 0.0)
@@ -117,7 +139,11 @@ class Sampling:
         """Suns and spectra of some times, at some of the sky's wavelengths, or for some channels of its response."""
         sky = self.sky
         wavelengths = channels if self.response is None else self.inside
-        suns = [as_float(v[times] if v.ndim == 1 else v[times][:, channels]) for v in (sky.sun_zenith, sky.sun_azimuth)]
+        suns = sky.sun_zenith, sky.sun_azimuth
+        if sky.view_zenith_by_wavelength is not None and suns[0].ndim == 1:
+            # each view stands under a sun of its own
+            suns = (np.repeat(v[:, None], len(sky.wavelength_nm), axis=1) for v in suns)
+        suns = [as_float(v[times] if v.ndim == 1 else v[times][:, channels]) for v in suns]
         count = len(sky.time[times])
         factor = self.sun_factor[times]
         weight = self.seen.weight
@@ -139,8 +165,7 @@ class Sampling:
         problem = Problem(
             **self._arrays(slice(time, time + 1), places),
             # a direction that this time has not: any place does
-            view_zenith=as_float(np.nan_to_num(sky.view_zenith[time : time + 1])),
-            view_azimuth=as_float(np.nan_to_num(sky.view_azimuth[time : time + 1])),
+            **self._views(slice(time, time + 1), slice(None), places),
             measured=as_float(nothing),
             weight=as_float(nothing),
             field_of_view=self.field_of_view,

@@ -1,7 +1,7 @@
-"""What a NetCDF file says of its own samples: flags and valid ranges, by the CF conventions."""
+"""What a file says of its own samples: flags and valid ranges, by the CF conventions, and columns of flags."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Bool
@@ -71,6 +71,27 @@ def flagged(name: str, key: str, numbers: np.ndarray, about: dict) -> Iterator[t
         bare = ~missing & (whole == 0) & ~np.isin(0, told) & any(map(harmless, meanings))
         for value in np.unique(whole[~known | bare]):
             yield f"flagged {value} by {key}", ~missing & (whole == value)
+
+
+def flagged_cells(key: str, cells: Sequence[str]) -> tuple[dict[str, Bool[np.ndarray, " row"]], str]:
+    """Reasons against the rows of a table by one of its columns, and a note that says how many rows are flagged.
+
+    **Arguments:** `cells` of the column `key`, as they stand: numbers of which 0 is good, or words such as "good".
+    """
+    texts = np.array([cell.strip() for cell in cells])
+    try:
+        numbers = np.array([np.nan if text == "" else float(text) for text in texts.tolist()])
+    except ValueError:
+        bad = [word for word in dict.fromkeys(texts.tolist()) if not harmless(word)]
+        found = {f"flagged {word} by {key}" if word else f"without a flag in {key}": texts == word for word in bad}
+        how = "words that say good are taken as such"
+    else:
+        if np.any(numbers % 1.0 > 0.0):
+            return {}, f"`{key}` holds other numbers than flags: not used"
+        found = {reason: where for reason, where in flagged("", key, numbers, {}) if where.any()}
+        how = "0 is taken as good"
+    count = int(np.count_nonzero(np.any(list(found.values()), axis=0))) if found else 0
+    return found, f"`{key}` does not say what its flags mean: {how}, {count} of {len(texts)} rows are flagged"
 
 
 def _integers(name, key, told):

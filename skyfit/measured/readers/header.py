@@ -72,8 +72,8 @@ class Head:
     """What keys of a file have said so far.
 
     `station`: numbers by the names of `Contents.station`; `moment`: when all samples were taken, NaT if not said;
-    `units`, `saturation`: text and number as they stand, with their place for errors; `made_by`: what made a simulated
-    sky; `unknown`: keys that nothing here understands.
+    `units`, `saturation`: text and number as they stand, with their place for errors; `calibration_sigma` as in `Sky`;
+    `made_by`: what made a simulated sky; `unknown`: keys that nothing here understands.
     """
 
     name: str
@@ -81,6 +81,7 @@ class Head:
     moment: np.datetime64 = field(default_factory=lambda: np.datetime64("NaT", "ns"))
     units: tuple[str, str] | None = None
     saturation: float | None = None
+    calibration_sigma: float = float("nan")
     made_by: dict = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     unknown: list[str] = field(default_factory=list)
@@ -106,6 +107,8 @@ class Head:
             self.units = str(value), f"{place} `{key}`"
         elif word == "saturation":
             self.saturation = self._parsed(place, key, str(value), {})[0]
+        elif word == "calibration_sigma":
+            self.calibration_sigma = self._parsed(place, key, str(value), {})[0]
         elif word in _REMARKS:
             self.notes += str(value).splitlines()
         elif word == "made_by":

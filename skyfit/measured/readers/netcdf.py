@@ -7,17 +7,21 @@ import numpy as np
 from ..response import Response
 from ..samples import Sky
 from ..units import IRRADIANCE, irradiance_factor, is_nanometre, is_radian, RADIANCE, radiance_factor
+from .colours import coloured_dataset
+from .dataset import load_dataset
 from .flags import flag_variables, flagged, outside
 from .header import Head, quantity_of
+from .normalised import in_sunlight, normalised_name, share_of
+from .photometer import is_photometer, read_photometer
 from .scale import scale_of
 from .screening import Contents, screened
 
 
 AXES = ("time", "direction", "wavelength")
-BEAM = "direct_normal_irradiance"
+BEAM, DEPTH = "direct_normal_irradiance", "aerosol_optical_depth"
 _USED = (
     *AXES, "radiance", "sigma", "suspect", "view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth",
-    "sun_azimuth_instrument", BEAM, f"{BEAM}_sigma",
+    "sun_azimuth_instrument", BEAM, f"{BEAM}_sigma", DEPTH, f"{DEPTH}_sigma",
 )  # fmt: skip
 # what describes a file to people and catalogues: by CF and ACDD, and what libraries leave
 _DESCRIPTIVE = frozenset(
@@ -38,12 +42,15 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
     **Arguments**
 
     - `path`: NetCDF 4 (HDF5) or NetCDF 3; dimensions direction, wavelength and optionally time;
-      variables `radiance`, optionally `sigma`, `suspect` (1 = masked), `direct_normal_irradiance` [time, wavelength]
-      and `direct_normal_irradiance_sigma`; coordinates `view_zenith`, `view_azimuth` [direction] or [time, direction],
-      both NaN past the end of a shorter scan, `wavelength`; `sun_zenith` and `sun_azimuth` [time] or
-      [time, wavelength], or latitude, longitude and time. Channels of a camera or photometer: `channel` in place of
-      the dimension wavelength, `response` [channel, spectrum], `spectrum` (nm), optionally `channel` (names), and
-      `wavelength` [channel], what they are called; `radiance` is then in any unit, that of the response
+      variables `radiance`, optionally `sigma`, `suspect` (1 = masked), `direct_normal_irradiance` and
+      `aerosol_optical_depth` [time, wavelength], each with a `_sigma`; coordinates `view_zenith`, `view_azimuth`
+      [direction], [time, direction] or [time, direction, wavelength], both NaN past the end of a shorter scan,
+      `wavelength`; `sun_zenith` and `sun_azimuth` [time] or [time, wavelength], or latitude, longitude and time.
+      Channels of a camera or photometer: `channel` in place of the dimension wavelength, `response` [channel,
+      spectrum], `spectrum` (nm), optionally `channel` (names), and `wavelength` [channel], what they are called;
+      `radiance` is then in any unit, that of the response. `luminance` (cd m-2), alone or with `x` and `y`
+      (CIE 1931), stands in place of radiance and wavelength; `normalized_radiance` (pi L / E0), or radiance in sr-1
+      (L / E0), is multiplied by the sun's irradiance. A sun photometer's file (`photometer`) is known by its variables
     - `station`: numbers that stand instead of the file's own, by name; those are attributes, or variables of one value,
       in the spellings and units that `header` knows; `own_units`: those of channels, of any name
 
@@ -55,14 +62,25 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
     """
     data = load_dataset(path)
     name = path.name
+    if is_photometer(data):
+        return read_photometer(name, data, station)
+    try:
+        data, of_colours = coloured_dataset(data)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+    normalised = normalised_name(list(map(str, data.variables)))
+    data = data if normalised is None else data.rename({normalised: "radiance"})
     response, data = _response(name, data)
     _require(name, data)
-    radiance, factor, notes, eye = _radiance(name, data, response, own_units)
+    share = _share(name, data, own_units or response is not None, normalised)
+    radiance, factor, notes, eye = _radiance(name, data, response, own_units, share)
+    notes = of_colours + notes
     axes = radiance.dims
     shape = radiance.shape
     sigma = None
     if "sigma" in data:
-        units = None if own_units or response is not None or eye is not None else data["sigma"].attrs.get("units")
+        own = own_units or response is not None or eye is not None or share is not None
+        units = None if own else data["sigma"].attrs.get("units")
         sigma = _spread(name, data, "sigma", axes, radiance)
         sigma = sigma * (factor if units is None else _factor(name, "sigma", units))
     suspect = None
@@ -86,14 +104,15 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
     notes += note
     direct, direct_sigma, converted = _beam(name, data, radiance)
     notes += converted
+    depth, depth_sigma = _depths(name, data, radiance)
     head, taken = _head(name, data)
-    used = {*_USED, *taken, *flags}
+    used = {*_USED, *taken, *flags} - (set() if depth is not None else {DEPTH, f"{DEPTH}_sigma"})
     unused = {
         "variables": [str(key) for key in data.variables if key not in used],
         "attributes": head.unknown,
     }
     notes += [f"{what} not used: {', '.join(keys)}" for what, keys in unused.items() if keys]
-    return screened(
+    sky = screened(
         Contents(
             name=name,
             radiance=light * factor,
@@ -102,6 +121,9 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
             reasons=reasons,
             direct=direct,
             direct_sigma=direct_sigma,
+            aerosol_depth=depth,
+            aerosol_depth_sigma=depth_sigma,
+            instrument=str(data.attrs.get("instrument", "")),
             view_zenith=zenith,
             view_azimuth=azimuth,
             wavelength=_wavelength(name, data),
@@ -112,42 +134,13 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
             saturation=_saturation(head, data, factor),
             notes=head.notes + notes,
             made_by=head.made_by,
+            calibration_sigma=head.calibration_sigma,
             angles_known=known,
             turned=bool(note),
             response=eye if response is None else response,
         )
     )
-
-
-def load_dataset(path: Path):
-    """All of a NetCDF file in memory, as an `xarray.Dataset`; a one-line `ValueError` where it is none or damaged."""
-    import xarray
-
-    with open(path, "rb") as stream:
-        start = stream.read(4)
-    # NetCDF 3 begins with CDF, NetCDF 4 as HDF5.
-    engine = {b"CDF": "scipy", b"\x89HD": "h5netcdf"}.get(start[:3])
-    if engine is None:
-        found = "an empty file" if not start else f"a file that begins with {start!r}"
-        raise ValueError(f"{path.name}: expected NetCDF, found {found}")
-    try:
-        with open(path, "rb") as stream:
-            if engine == "h5netcdf":
-                _probe(stream)
-            return xarray.load_dataset(stream, engine=engine, decode_timedelta=False)
-    except Exception as error:
-        line = (str(error).splitlines() or [""])[0] or type(error).__name__
-        raise ValueError(f"{path.name}: expected NetCDF, found a truncated or damaged file ({line})") from error
-
-
-def _probe(stream):
-    """Fail on a damaged HDF5 file, where h5netcdf would fail and then again when collected."""
-    import h5py
-
-    with h5py.File(stream, "r") as file:
-        list(file.attrs.items())
-        list(file.items())
-    stream.seek(0)
+    return sky if share is None else in_sunlight(sky, share)
 
 
 def _require(name, data):
@@ -177,7 +170,16 @@ def _response(name, data):
     return response, data.swap_dims(channel="wavelength")
 
 
-def _radiance(name, data, response, own_units):
+def _share(name, data, own, normalised):
+    """Of the sun's irradiance, where that is what the samples are of; None where they are in a unit of their own."""
+    units = data["radiance"].attrs.get("units")
+    try:
+        return None if own else share_of(None if units is None else str(units), normalised is not None)
+    except ValueError as error:
+        raise ValueError(f"{name}: variable `{normalised}`: {error}") from None
+
+
+def _radiance(name, data, response, own_units, share):
     radiance = data["radiance"]
     extra = [axis for axis in radiance.dims if axis not in AXES]
     if extra or "direction" not in radiance.dims or "wavelength" not in radiance.dims:
@@ -189,7 +191,7 @@ def _radiance(name, data, response, own_units):
         raise ValueError(f"{name}: variable `radiance`: expected samples, found {radiance.shape}")
     units = radiance.attrs.get("units")
     factor, notes, eye = 1.0, [], None
-    if response is None:
+    if response is None and share is None:
         told = None if units is None else str(units)
         try:
             factor, notes, eye = scale_of(told, radiance.sizes["wavelength"], own_units)
@@ -218,6 +220,15 @@ def _beam(name, data, radiance):
     units = data[key].attrs.get("units")
     sigma = _spread(name, data, key, across.dims, across)
     return direct, sigma * (factor if units is None else _factor(name, key, units, IRRADIANCE)), notes
+
+
+def _depths(name, data, radiance):
+    """The haze's optical depth at each wavelength and its sigma, [time, wavelength]; one of no wavelength is none."""
+    if DEPTH not in data or "wavelength" not in data[DEPTH].dims:
+        return None, None
+    across = radiance.isel(direction=0)
+    told = (_spread(name, data, key, across.dims, across) if key in data else None for key in (DEPTH, f"{DEPTH}_sigma"))
+    return tuple(told)
 
 
 def _factor(name, variable, units, wanted=RADIANCE):
@@ -258,7 +269,7 @@ def _spread(name, data, key, axes, radiance):
 
 
 # dimensions that an angle may have, all of them, in the place of the one that it must have
-_OF_ANGLES = {"direction": ("time", "direction"), "time": ("time", "wavelength")}
+_OF_ANGLES = {"direction": AXES, "time": ("time", "wavelength")}
 
 
 def _angle(name, data, key, along, radiance):
@@ -281,7 +292,8 @@ def _angle(name, data, key, along, radiance):
         raise ValueError(
             f"{name}: variable `{key}`: expected dimensions of `radiance` {radiance.shape}, found {variable.shape}"
         )
-    whole = (along,) if set(variable.dims) <= {along} else axes
+    # a view of each wavelength is one of each time
+    whole = (along,) if set(variable.dims) <= {along} else axes if "wavelength" in variable.dims else axes[:2]
     kept = [axis for axis in whole if axis in variable.dims]
     numbers = _numbers(name, variable).transpose([variable.dims.index(axis) for axis in kept])
     numbers = numbers[tuple(slice(None) if axis in kept else None for axis in whole)]
@@ -294,10 +306,10 @@ def _alike(one, other, along):
     if one.ndim == other.ndim:
         return one, other
     shape = max(one.shape, other.shape, key=len)
-    return tuple(
-        angle if angle.ndim == 2 else np.broadcast_to(np.expand_dims(angle, 1 - along), shape).copy()
-        for angle in (one, other)
-    )
+    wide = [angle[:, None] if along == 0 and angle.ndim == 1 else angle for angle in (one, other)]
+    # a view that is one at all wavelengths
+    wide = [angle[..., None] if len(shape) == 3 > angle.ndim else angle for angle in wide]
+    return tuple(np.broadcast_to(angle, shape).copy() for angle in wide)
 
 
 def _sun_azimuth(name, data, radiance):

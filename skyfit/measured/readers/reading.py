@@ -6,11 +6,13 @@ from pathlib import Path
 from ..response import Response
 from ..samples import Sky
 from .asd import read_asd
+from .formats import known_format
 from .netcdf import read_netcdf
+from .scanner import read_scanner
 from .tidy import read_tidy
 
 
-# by suffix; a folder is of ASD text exports
+# by suffix, where the content is none that `formats` knows; a folder is of ASD text exports
 READERS = {".nc": read_netcdf, ".nc4": read_netcdf, ".cdf": read_netcdf, ".csv": read_tidy}
 # those that take units of channels
 _OF_CHANNELS = (read_netcdf, read_tidy)
@@ -26,13 +28,15 @@ def read(
     fwhm_nm: float | int | None = None,
     response: Response | None = None,
 ) -> Sky:
-    """Measured sky radiance from a NetCDF file, a tidy CSV or a folder of ASD text exports.
+    """Measured sky radiance, or luminance, from the file of an instrument, NetCDF, a tidy CSV or a folder of ASD text.
 
     **Arguments**
 
-    - `path`: `*.nc`, `*.csv` or a folder
+    - `path`: a file of any name, known by what is in it, or a folder: NetCDF and tidy CSV as `write_sky` writes them;
+      AERONET's raw sky scans (`.alm`, `.ppl`), with the optical depths (`.lev15`, `.lev20`) that lie beside them; ARM
+      csphot almucantars in NetCDF; a sky scanner's table of 145 luminances; a folder of ASD text exports
     - `latitude`, `longitude`: degrees, north and east positive; instead of the file's own
-    - `utc_offset`: hours that local time is ahead of UTC (EDT is -4); for a folder only, since
+    - `utc_offset`: hours that local time is ahead of UTC (EDT is -4); for a folder or a sky scanner only, since
       the times of the others are UTC
     - `altitude`: m above sea level; instead of the file's own
     - `fwhm_nm`: full width at half maximum of the instrument's line shape, nm
@@ -67,14 +71,18 @@ def read(
             raise ValueError(f"{path}: expected a file or a folder, found none")
         if not path.is_file():
             raise ValueError(f"{path}: expected a file or a folder, found a pipe or a device")
-        reader = READERS.get(path.suffix.lower())
+        reader = known_format(path) or READERS.get(path.suffix.lower())
         if reader is None:
             raise ValueError(
-                f"{path.name}: expected *.nc, *.csv or a folder of ASD text exports, found suffix {path.suffix!r}"
+                f"{path.name}: expected NetCDF, a tidy CSV, a sky scan of AERONET, a sky scanner's table or a folder "
+                f"of ASD text exports, found none of these under the suffix {path.suffix!r}"
             )
+        if reader is read_scanner:
+            return seen(read_scanner(path, station, utc_offset))
         if utc_offset is not None:
             raise ValueError(
-                f"{path.name}: `utc_offset` is for a folder of ASD text exports; times in this file are UTC"
+                f"{path.name}: `utc_offset` is for a sky scanner or a folder of ASD text exports; times in this file "
+                "are UTC"
             )
         # a reader of one's own may know no channels
         own = {} if response is None or reader not in _OF_CHANNELS else {"own_units": True}

@@ -4,9 +4,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..possible import STATION_RANGES
 from ..quality.sun_agreement import sun_agreement
 from ..response import Response
-from ..samples import Sky, STATION_RANGES
+from ..samples import Sky
 from ..solar_position import solar_position
 
 
@@ -26,14 +27,16 @@ _LONGEST_NM = 2600.0
 class Contents:
     """What a reader found: file units (degrees), before any screening.
 
-    **Arguments** arrays as in `Sky`, angles in degrees; views may be NaN where a time has no samples; `station` holds
+    **Arguments** arrays as in `Sky`, angles in degrees; views may be NaN where a time has no samples, and views
+    [time, direction, wavelength] where the instrument moves between wavelengths; `station` holds
     numbers by the names latitude, longitude, altitude_m, pressure_pa, fwhm_nm, ozone_du, sun_distance_au; `made_by`:
     what made a simulated sky; `suspect` is True where masked, as is each of `reasons`;
     `rows`: axis -> the row where each of its values first stands, for errors ("direction": in the shape of the views,
     "sun": of the sun's angles, if not that of "time");
     `angles_known`: the file said radians, so that no small angle is suspicious; `turned`: azimuths are in the
     instrument's own frame. `direct`, `direct_sigma`: irradiance of the sun's beam and its standard deviation,
-    W m^-2 nm^-1, [time, wavelength]. `response`: of the channels that stand in the place of wavelengths.
+    W m^-2 nm^-1, [time, wavelength]; `aerosol_depth`, `aerosol_depth_sigma` likewise. `response`: of the channels that
+    stand in the place of wavelengths.
     """
 
     name: str
@@ -49,6 +52,10 @@ class Contents:
     reasons: dict[str, np.ndarray] = field(default_factory=dict)
     direct: np.ndarray | None = None
     direct_sigma: np.ndarray | None = None
+    aerosol_depth: np.ndarray | None = None
+    aerosol_depth_sigma: np.ndarray | None = None
+    instrument: str = ""
+    calibration_sigma: float = float("nan")
     station: dict[str, float] = field(default_factory=dict)
     saturation: float | None = None
     notes: list[str] = field(default_factory=list)
@@ -72,6 +79,8 @@ def screened(found: Contents) -> Sky:
     _check_station(name, found.station)
     zenith, azimuth = _check_directions(found)
     wavelength, order = _check_wavelengths(found)
+    if zenith.ndim == 3:
+        zenith, azimuth = zenith[..., order], azimuth[..., order]
     radiance = found.radiance[..., order]
     sigma = None if found.sigma is None else found.sigma[..., order]
     reasons = {reason: where[..., order] for reason, where in found.reasons.items()}
@@ -84,6 +93,14 @@ def screened(found: Contents) -> Sky:
     sun_zenith, sun_azimuth = _place_sun(found, order)
     found.notes += _small_angles(found, zenith, azimuth, sun_zenith, sun_azimuth)
     station = found.station
+    moving = None, None
+    if zenith.ndim == 3:
+        views = zenith, azimuth
+        zenith, azimuth = zenith.mean(axis=2), _mean_azimuth(azimuth)
+        if not all(np.array_equal(v, np.broadcast_to(v[..., :1], v.shape), equal_nan=True) for v in views):
+            moving = np.deg2rad(views[0]), np.deg2rad(views[1])
+    depths = (None if depth is None else depth[:, order] for depth in (found.aerosol_depth, found.aerosol_depth_sigma))
+    depth, depth_sigma = depths
     try:
         return Sky(
             radiance=radiance,
@@ -106,6 +123,12 @@ def screened(found: Contents) -> Sky:
             response=found.response,
             direct_irradiance=direct,
             direct_sigma=direct_sigma,
+            aerosol_optical_depth=depth,
+            aerosol_optical_depth_sigma=depth_sigma,
+            view_zenith_by_wavelength=moving[0],
+            view_azimuth_by_wavelength=moving[1],
+            instrument=found.instrument,
+            calibration_sigma=found.calibration_sigma,
             masked=masked,
             reason=reason,
             # A file that skyfit wrote already carries its notes: each is said once.
@@ -149,13 +172,14 @@ def screen(
     """Mask the samples that must not be used, and count them by the first reason that holds.
 
     **Arguments** arrays [time, direction, wavelength]; `stated`: reasons of the file's own; `view_zenith_deg`
-    [direction] or [time, direction]; `saturation`: the radiance at which the detector saturates, if known; `signed`:
-    less than 0 is no error.
+    [direction], [time, direction] or [time, direction, wavelength]; `saturation`: the radiance at which the detector
+    saturates, if known; `signed`: less than 0 is no error.
 
     **Returns** radiance with NaN where not finite, `usable`, the counts, and of each sample which of them it is in.
     """
     radiance = np.array(radiance, dtype=np.float64)
-    below = np.broadcast_to((view_zenith_deg > 90.0)[..., None], radiance.shape)
+    below = view_zenith_deg > 90.0
+    below = np.broadcast_to(below if below.ndim == 3 else below[..., None], radiance.shape)
     with np.errstate(invalid="ignore"):
         reasons = {
             "missing": np.isnan(radiance) | (np.isfinite(radiance) & (radiance > _FILL)),
@@ -218,9 +242,10 @@ def _check_directions(found):
     # At the zenith an azimuth means nothing, and files leave it out.
     azimuth = np.where(np.isnan(azimuth) & (zenith == 0.0), 0.0, azimuth)
     absent = np.zeros(zenith.shape, bool)
-    if zenith.ndim == 2:
+    if zenith.ndim >= 2:
         # a scan that is shorter than the longest
-        absent = np.isnan(zenith) & np.isnan(azimuth) & np.isnan(found.radiance).all(axis=2)
+        empty = np.isnan(found.radiance).all(axis=2)
+        absent = np.isnan(zenith) & np.isnan(azimuth) & (empty if zenith.ndim == 2 else empty[..., None])
     for column, values, low, high in (
         ("view_zenith", zenith, 0.0, 180.0),
         ("view_azimuth", azimuth, -360.0, 720.0),
@@ -352,8 +377,8 @@ def _without_holes(angles, turns=False):
 
 
 def _mean_azimuth(angles):
-    """Of those of each time that are known, degrees, also on both sides of north; NaN where none is."""
+    """Over the last axis, of those that are known, degrees, also on both sides of north; NaN where none is."""
     known = np.isfinite(angles)
     turned = np.exp(1j * np.deg2rad(np.where(known, angles, 0.0)))
-    mean = np.rad2deg(np.angle(np.where(known, turned, 0.0).sum(axis=1))) % 360.0
-    return np.where(known.any(axis=1), mean, np.nan)
+    mean = np.rad2deg(np.angle(np.where(known, turned, 0.0).sum(axis=-1))) % 360.0
+    return np.where(known.any(axis=-1), mean, np.nan)

@@ -8,8 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ..samples import Sky
+from .colours import colour_names, coloured_rows
+from .flags import FLAG_NAMES, flagged_cells
 from .grid import Axis, by_time, fill, repeated
 from .header import Head, moment_of, quantity_of
+from .normalised import in_sunlight, normalised_name, share_of
 from .scale import scale_of
 from .screening import check_angles, Contents, screened
 
@@ -40,7 +43,9 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
     **Arguments**
 
     - `path`: columns view_zenith, view_azimuth (degrees), wavelength (nm), radiance
-      (W m^-2 sr^-1 nm^-1), optionally time (ISO, UTC), sigma, suspect (1 = masked) and, the same
+      (W m^-2 sr^-1 nm^-1), or luminance (cd m^-2), alone or with x and y (CIE 1931), in place of the last two,
+      or normalized_radiance (pi L / E0), which units sr-1 of radiance (L / E0) say as well;
+      optionally time (ISO, UTC), sigma, suspect (1 = masked), quality_flag (0 = good, other masked) and, the same
       in all rows of a time and wavelength, sun_zenith, sun_azimuth, direct_normal_irradiance and
       direct_normal_irradiance_sigma (W m^-2 nm^-1); lines `# key: value` above, or columns of one value, carry
       latitude, longitude, altitude_m, pressure_pa, fwhm_nm, ozone_du, sun_distance_au in the spellings and units that
@@ -54,7 +59,10 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
     """
     name = path.name
     header, comments, rows = _open(path)
-    _require(name, header, REQUIRED)
+    normalised = normalised_name(header)
+    header = ["radiance" if key == normalised else key for key in header]
+    colours = None if "radiance" in header else colour_names(header)
+    _require(name, header, REQUIRED if colours is None else (*REQUIRED[:2], colours[0]))
     lines, cells = [], []
     for line, row in rows:
         lines.append(line)
@@ -62,13 +70,28 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
     if not lines:
         raise ValueError(f"{name}: expected rows of samples below the header, found none")
     texts = dict(zip(header, zip(*cells, strict=True), strict=True))
-    number = {key: _column(name, lines, key, texts[key], empty) for key, empty in _EMPTY.items() if key in texts}
+    light = () if colours is None else (colours[0], *(colours[1] or ()))
+    kinds = _EMPTY | dict.fromkeys(light, np.nan)
+    number = {key: _column(name, lines, key, texts[key], empty) for key, empty in kinds.items() if key in texts}
     times, directions, wavelengths = Axis(), Axis(), Axis()
     head = Head(name)
     for line, text in comments:
         head.line(f"row {line}, key", text)
+    flags = {key: flagged_cells(key, texts[key]) for key in header if key.lower() in FLAG_NAMES}
+    of_file = _of_file(head, lines, texts, {*kinds, *flags})
+    unused = {
+        "columns": [key for key in header if key not in {*number, *flags, *of_file, "time"}],
+        "header keys": head.unknown,
+    }
+    stated = {reason: where for reasons, _ in flags.values() for reason, where in reasons.items()}
     # Without a column `time` all samples are of one time, known only if the head says it.
     moments = _moments(name, lines, texts["time"]) if "time" in texts else [head.moment.astype(int).item()] * len(lines)
+    factor, converted, response, share = 1.0, [], None, None
+    if colours is not None:
+        number, response, converted = _coloured(head, colours, number)
+        count = len(number["radiance"]) // len(lines)
+        lines, moments = lines * count, moments * count
+        stated = {reason: np.tile(where, count) for reason, where in stated.items()}
     angles = zip(number["view_zenith"].tolist(), number["view_azimuth"].tolist(), strict=True)
     index = np.array(
         [
@@ -88,16 +111,14 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
             f"{name}: rows {lines[twice[0]]} and {lines[twice[1]]}: expected each time, direction "
             "and wavelength once, found the same sample twice"
         )
-    factor, converted, response = _units(head, len(wavelengths), own_units)
+    if colours is None:
+        share = _share(head, own_units, normalised is not None)
+        if share is None:
+            factor, converted, response = _units(head, len(wavelengths), own_units)
     sun, sun_rows = _sun(name, lines, number, index, shape)
-    of_file = _of_file(head, lines, texts)
     beam = [_per_band(name, lines, key, number, index, shape) for key in BEAM]
     numbers = head.station | station
-    notes = head.notes + converted
-    unused = {
-        "columns": [key for key in header if key not in number and key not in of_file and key != "time"],
-        "header keys": head.unknown,
-    }
+    notes = head.notes + converted + [note for _, note in flags.values()]
     notes += [f"{what} not used: {', '.join(keys)}" for what, keys in unused.items() if keys]
     time = np.array(times.values(), dtype=np.int64).view("datetime64[ns]")
     order = np.argsort(time, kind="stable")
@@ -113,15 +134,16 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
     first["direction"] = first["direction"][view]
     zenith, azimuth = (np.where(view < 0, np.nan, angle[view]) for angle in views.T)
 
-    def gridded(key, absent):
-        return fill(shape, index, number[key], absent)[order]
+    def gridded(values, absent):
+        return fill(shape, index, values, absent)[order]
 
-    return screened(
+    sky = screened(
         Contents(
             name=name,
-            radiance=gridded("radiance", np.nan) * factor,
-            sigma=gridded("sigma", np.nan) * factor if "sigma" in number else None,
-            suspect=gridded("suspect", 0.0) != 0.0 if "suspect" in number else None,
+            radiance=gridded(number["radiance"], np.nan) * factor,
+            sigma=gridded(number["sigma"], np.nan) * factor if "sigma" in number else None,
+            suspect=gridded(number["suspect"], 0.0) != 0.0 if "suspect" in number else None,
+            reasons={reason: gridded(where, 0.0) != 0.0 for reason, where in stated.items()},
             direct=None if beam[0] is None else beam[0][order],
             direct_sigma=None if beam[1] is None else beam[1][order],
             view_zenith=zenith,
@@ -134,10 +156,12 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
             saturation=None if head.saturation is None else head.saturation * factor,
             notes=notes,
             made_by=head.made_by,
+            calibration_sigma=head.calibration_sigma,
             response=response,
             rows={axis: rows.tolist() for axis, rows in first.items()},
         )
     )
+    return sky if share is None else in_sunlight(sky, share)
 
 
 def read_directions(
@@ -324,12 +348,12 @@ def _check_grid(name, shape, count):
         )
 
 
-def _of_file(head, lines, texts):
-    """The columns that say one thing of the station in all rows, which `head` takes."""
+def _of_file(head, lines, texts, others):
+    """The columns that say one thing of the station in all rows, which `head` takes; not `others`."""
     taken = []
     for key in texts:
         quantity = quantity_of(key)
-        if key in _EMPTY or quantity is None:
+        if key in others or quantity is None:
             continue
         values = _column(head.name, lines, key, texts[key], np.nan)
         if quantity[0] in _OF_PLACE:
@@ -341,6 +365,23 @@ def _of_file(head, lines, texts):
             if np.isfinite(first):
                 head.number(f"row {lines[0]}, column", key, f"{float(first)!r}")
     return taken
+
+
+def _coloured(head, colours, number):
+    text, place = (None, "") if head.units is None else head.units
+    try:
+        return coloured_rows(colours, number, text)
+    except ValueError as error:
+        raise ValueError(f"{head.name}: {place}{place and ': '}{error}") from None
+
+
+def _share(head, own, normalised):
+    """Of the sun's irradiance, where that is what the samples are of; None where they are in a unit of their own."""
+    text, place = (None, "") if head.units is None else head.units
+    try:
+        return None if own else share_of(text, normalised)
+    except ValueError as error:
+        raise ValueError(f"{head.name}: {place}{place and ': '}{error}") from None
 
 
 def _units(head, channels, own):

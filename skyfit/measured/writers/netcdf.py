@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..readers.netcdf import AXES, BEAM
+from ..readers.netcdf import AXES, BEAM, DEPTH
 from ..samples import Sky
 from ..units import IRRADIANCE, LUMINANCE, RADIANCE
 
@@ -25,8 +25,9 @@ def write_netcdf(sky: Sky, path: Path) -> None:
 
     whole = axes(sky)
     of_sun = whole[::2][: sky.sun_zenith.ndim]
-    views = [degrees(view[0] if sky.one_pattern else view) for view in (sky.view_zenith, sky.view_azimuth)]
-    of_views = whole[:2][-views[0].ndim :]
+    moves = sky.view_zenith_by_wavelength is not None
+    views = [degrees(view[0] if sky.one_pattern and not moves else view) for view in sky.views]
+    of_views = whole if moves else whole[:2][-views[0].ndim :]
     clockwise = {"units": "degree", "comment": "clockwise from north"}
     by_unit = sky.response is not None and sky.response.by_unit
     light = (
@@ -54,6 +55,9 @@ def write_netcdf(sky: Sky, path: Path) -> None:
     if sky.direct_sigma is not None:
         about = {"units": IRRADIANCE, "long_name": f"standard deviation of {BEAM}"}
         variables[f"{BEAM}_sigma"] = (whole[::2], sky.direct_sigma, about)
+    for key, values in ((DEPTH, sky.aerosol_optical_depth), (f"{DEPTH}_sigma", sky.aerosol_optical_depth_sigma)):
+        if values is not None:
+            variables[key] = (whole[::2], values, {"units": "1", "long_name": f"{key.replace('_', ' ')}, vertical"})
     dimensions = dict(zip(whole, sky.radiance.shape, strict=True))
     if sky.response is not None and not by_unit:
         about = {"long_name": f"weights of spectral radiance in {RADIANCE}, widths of the spectrum's steps included"}
@@ -68,6 +72,8 @@ def write_netcdf(sky: Sky, path: Path) -> None:
         file.attrs.update(attributes(sky))
         if sky.made_by:
             file.attrs["made_by"] = json.dumps(sky.made_by)
+        if sky.instrument:
+            file.attrs["instrument"] = sky.instrument
         if sky.notes:
             file.attrs["notes"] = "\n".join(sky.notes)
 
@@ -106,7 +112,7 @@ def degrees(radians: np.ndarray) -> np.ndarray:
 
 
 def attributes(sky: Sky) -> dict[str, float]:
-    """The station and the line shape of `sky`, by their names in files; what is NaN is left out."""
+    """The station, line shape and calibration of `sky`, by their names in files; what is NaN is left out."""
     values = {
         "latitude": sky.latitude_deg,
         "longitude": sky.longitude_deg,
@@ -115,5 +121,6 @@ def attributes(sky: Sky) -> dict[str, float]:
         "fwhm_nm": sky.fwhm_nm,
         "ozone_du": sky.ozone_du,
         "sun_distance_au": sky.sun_distance_au,
+        "calibration_sigma": sky.calibration_sigma,
     }
     return {name: float(value) for name, value in values.items() if np.isfinite(value)}

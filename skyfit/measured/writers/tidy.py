@@ -25,6 +25,10 @@ def write_tidy(sky: Sky, path: Path) -> None:
     timed = not (len(sky.time) == 1 and np.isnat(sky.time[0]))
     if timed and (np.any(np.isnat(sky.time)) or len(np.unique(sky.time)) < len(sky.time)):
         raise ValueError("a CSV tells times apart by `time`: expected all to be known and to differ; write NetCDF")
+    if sky.aerosol_optical_depth is not None:
+        raise ValueError("a CSV has no place for aerosol optical depths: write NetCDF")
+    if sky.view_zenith_by_wavelength is not None:
+        raise ValueError("a CSV has no place for views that move between wavelengths: write NetCDF")
     views = np.stack([degrees(sky.view_zenith), degrees(sky.view_azimuth)], axis=2)
     there = np.asarray(np.isfinite(views).all(axis=2))
     for pattern, known in zip(views[:1] if sky.one_pattern else views, there, strict=False):

@@ -169,11 +169,13 @@ def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) ->
     radiance = np.asarray(radiance, np.float64)
     if radiance.shape != sky.radiance.shape:
         raise ValueError(f"`radiance` must have the shape {sky.radiance.shape} of `sky`, got {radiance.shape}")
-    seen = (sky.view_zenith <= 0.5 * np.pi)[..., None]
+    seen = sky.views[0] <= 0.5 * np.pi
+    seen = seen if seen.ndim == 3 else seen[..., None]
     usable = np.isfinite(radiance) & seen & ((radiance >= 0.0) | (sky.response is not None))
     notes = (f"predicted by skyfit for the samples of {sky.source}",)
-    predicted = {"radiance": radiance, "sigma": None, "usable": usable, "direct_irradiance": None, "direct_sigma": None}
-    write_sky(replace(sky, **predicted, masked={}, notes=notes), path)
+    beam = ("direct_irradiance", "direct_sigma", "aerosol_optical_depth", "aerosol_optical_depth_sigma")
+    predicted = {"radiance": radiance, "sigma": None, "usable": usable, **dict.fromkeys(beam)}
+    write_sky(replace(sky, **predicted, masked={}, notes=notes, instrument=""), path)
 
 
 def _write_field(fit: Fit, part: Path) -> None:

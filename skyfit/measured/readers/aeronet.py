@@ -1,0 +1,168 @@
+"""AERONET's raw sky scans as text (Version 3: almucantar, principal plane), with optical depths that lie beside."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ..quality.placed_sun import cosine_from_sun
+from ..samples import Sky
+from ..units import radiance_factor
+from .aeronet_table import COLUMNS, moment_in, only, Table, table_of
+from .header import plain
+from .optical_depths import beside, joined
+from .scans import ALMUCANTAR, PRINCIPAL_PLANE, series_of, Sweep, view_of
+from .screening import screened
+
+
+# of the radiances, where the names of older files do not say it
+_USUAL_UNITS = "uW/cm^2/sr/nm"
+_NEEDED = ("date", "time", "exact", "sun_zenith", "kind")
+# degrees
+_SAME_ANGLE = 0.5
+_KINDS = {"almucantar": ALMUCANTAR, "alm": ALMUCANTAR, "principal_plane": PRINCIPAL_PLANE, "ppl": PRINCIPAL_PLANE}
+# "Radiance_for_Azimuth_Angle_in_Degrees(uW/cm^2/sr/nm)_-6.000", of files whose two lines of names were joined
+_JOINED = re.compile(r"(.*\S)_(-?\d+(?:\.\d*)?)")
+_NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?")
+_UNITS = re.compile(r"\(([^()]*(?:\([^()]*\))?[^()]*)\)\s*$")
+
+
+def read_scan(path: Path, station: dict[str, float]) -> Sky:
+    """A file of AERONET's raw sky scans as a `Sky`.
+
+    **Arguments**
+
+    - `path`: Version 3 text: lines of a head, one of names, one of angles under the last names, then a row for each
+      wavelength of each scan with its own time and sun's zenith angle; radiance in uW cm-2 sr-1 nm-1, -999 missing
+    - `station`: numbers that stand instead of the file's own, by name
+
+    **Returns** a `Sky` of the scans in time, each wavelength where it looked. An optical-depth file (`.lev15`,
+    `.lev20`, `.lev10`) of the same site in the same folder is taken along, the best level first.
+
+    **Valid** scans in the almucantar and the principal plane; others, and a file of several sites or instruments, are a
+    `ValueError`.
+    """
+    table = table_of(path, "Solar_Zenith_Angle")
+    places = {what: table.place(what) for what in COLUMNS}
+    lacking = [COLUMNS[what][0] for what in _NEEDED if places[what] is None]
+    angles, units, unnamed = _radiances(table)
+    stated, others = _other_groups(table)
+    if lacking or not angles:
+        found = ", ".join(filter(None, table.names))[:200]
+        raise ValueError(f"{table.name}: expected columns {', '.join(lacking) or 'of radiance'}, found {found}")
+    try:
+        factor = radiance_factor(units)
+    except ValueError as error:
+        raise ValueError(f"{table.name}: column `Radiance`: {error}") from None
+    notes = [f"radiance converted from {units} to W m-2 sr-1 nm-1"]
+    if others:
+        notes.append(f"columns not used: {', '.join(others)}")
+    if unnamed:
+        notes.append(f"{unnamed} columns of radiance have no angle: left out")
+    site = only(table, places["site"], "site")
+    number = (
+        ", ".join(dict.fromkeys(cells[places["number"]] for _, cells in table.rows))
+        if places["number"] is not None
+        else ""
+    )
+    told = {
+        what: float(only(table, place, what))
+        for what in ("latitude", "longitude", "altitude_m")
+        for place in (places[what],)
+        if place is not None
+    }
+    columns, degrees = np.array(list(angles)), np.array(list(angles.values()))
+    sweeps = [_sweep(table, row, cells, places, columns, degrees, factor) for row, cells in table.rows]
+    notes += _unlike(table, sweeps, degrees, stated)
+    sun = degrees == 0.0
+    toward = sum(int(np.isfinite(sweep.radiance[sun]).sum()) for sweep in sweeps)
+    if toward:
+        notes.append(f"{toward} samples toward the sun itself left out")
+    for sweep in sweeps:
+        sweep.radiance[sun] = np.nan
+    kinds = ", ".join(dict.fromkeys(sweep.kind for sweep in sweeps))
+    instrument = f"AERONET photometer{number and f' {number}'}{site and f', {site}'}: {kinds}"
+    series = series_of(table.name, sweeps, told | station, notes, instrument)
+    depths = beside(path, site)
+    if depths is not None:
+        joined(series, depths)
+    return screened(series.contents)
+
+
+def _sweep(table, row, cells, places, columns, degrees, factor) -> Sweep:
+    word = plain(cells[places["kind"]])
+    kind = next((kind for key, kind in _KINDS.items() if word.startswith(key)), None)
+    if kind is None:
+        what = "each view's zenith angle and azimuth are not in this file" if "hybrid" in word else "no scan known here"
+        raise ValueError(
+            f"{table.name}: row {row}: expected a scan in the almucantar or the principal plane, found "
+            f"{cells[places['kind']][:40]!r}: {what}"
+        )
+    wavelength = 1e3 * table.number(row, cells, places["exact"])
+    if np.isnan(wavelength) and places["nominal"] is not None:
+        wavelength = table.number(row, cells, places["nominal"])
+    sun_zenith = table.number(row, cells, places["sun_zenith"])
+    for what, value in (("wavelength", wavelength), ("solar zenith angle", sun_zenith)):
+        if np.isnan(value):
+            raise ValueError(f"{table.name}: row {row}: expected a {what}, found none")
+    radiance = factor * np.array([table.number(row, cells, place) for place in columns.tolist()])
+    moment = moment_in(table, row, cells, places["date"], places["time"])
+    return Sweep(moment, round(wavelength, 4), sun_zenith, *view_of(kind, degrees, sun_zenith), radiance, kind, row)
+
+
+def _radiances(table: Table) -> tuple[dict[int, float], str, int]:
+    """The angle of each column of radiance, their units, and how many of them have no angle."""
+    angles, units, group, unnamed = {}, _USUAL_UNITS, "", 0
+    for place, (name, under) in enumerate(zip(table.names, table.below, strict=True)):
+        label = under
+        match = _JOINED.fullmatch(name)
+        if _NUMBER.fullmatch(name):
+            # older files have the angles among the names
+            group, label = "radiance", name
+        elif match is not None and "radiance" in plain(match[1]):
+            group, label = match[1], match[2]
+        elif name:
+            group = name
+        if "radiance" not in plain(group):
+            continue
+        told = _UNITS.search(group)
+        units = told[1].replace("\\", "/") if told else units
+        if _NUMBER.fullmatch(label):
+            angles[place] = float(label)
+        elif any(cells[place] for _, cells in table.rows):
+            unnamed += 1
+    return angles, units, unnamed
+
+
+def _other_groups(table: Table) -> tuple[dict[float, int], list[str]]:
+    """The columns of scattering angles by the angle they are of, and the names of what nothing here understands."""
+    known = {name for names in COLUMNS.values() for name in names} | {"day_of_year", "last_processing_date"}
+    stated, others, group = {}, [], ""
+    for place, (name, under) in enumerate(zip(table.names, table.below, strict=True)):
+        match = _JOINED.fullmatch(name)
+        if _NUMBER.fullmatch(name):
+            group = "radiance"
+        elif name:
+            group, under = (name, under) if match is None else (match[1], match[2])
+        word = plain(group)
+        if "scattering_angle" in word and _NUMBER.fullmatch(under):
+            stated[float(under)] = place
+        elif name and "radiance" not in word and word not in known and "scattering_angle" not in word:
+            others += [] if group in others else [group]
+    return stated, others
+
+
+def _unlike(table: Table, sweeps: list[Sweep], degrees, stated: dict[float, int]) -> list[str]:
+    """A note where the scattering angles of a file are not those of the views that its scan is taken to be of."""
+    worst = 0.0
+    columns = [(i, stated[angle]) for i, angle in enumerate(degrees.tolist()) if angle in stated]
+    for sweep, (row, cells) in zip(sweeps, table.rows, strict=True):
+        for i, place in columns:
+            told = table.number(row, cells, place)
+            zenith, around = np.radians([sweep.zenith[i], sweep.azimuth[i]])
+            cosine = cosine_from_sun(zenith, around, np.radians(sweep.sun_zenith), 0.0)
+            if np.isfinite(told):
+                worst = max(worst, abs(float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))) - told))
+    if worst <= _SAME_ANGLE:
+        return []
+    return [f"the file's scattering angles are {worst:.1f} degrees from those of its views: another kind of scan?"]

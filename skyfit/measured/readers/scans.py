@@ -1,0 +1,164 @@
+"""Scans about the sun, one filter after the other, as skies: an almucantar, the principal plane, and others."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from ..solar_position import solar_position
+from .screening import Contents
+
+
+ALMUCANTAR, PRINCIPAL_PLANE = "almucantar", "principal plane"
+# filters of one scan follow each other within this; the next scan of a photometer begins a quarter of an hour later
+_LONGEST_GAP = np.timedelta64(300, "s")
+# where neither time nor place tells where the sun stands, its azimuth: views are counted from it
+_NO_AZIMUTH = 180.0
+# of the interference filters of CIMEL's photometers from 440 to 1020 nm (Holben et al. 1998, Remote Sens. Environ. 66)
+FILTER_FWHM_NM = 10.0
+# of a sample's noise, relative: readings repeat to a per cent, and the two sides of an almucantar agree to some; and of
+# each filter's calibration, by integrating spheres, better than 5 % (Holben et al. 1998)
+_NOISE, _CALIBRATION = 0.02, 0.05
+
+
+@dataclass
+class Sweep:
+    """One filter's way about the sun.
+
+    `moment` UTC; `wavelength` nm; `sun_zenith` degrees; `zenith`, `azimuth` `[direction]` degrees, of the view, azimuth
+    from the sun, clockwise; `radiance` `[direction]` W m^-2 sr^-1 nm^-1, NaN where missing. Sweeps of one scan have the
+    same directions in the same order. `kind`: of the scan; `row`: where it stands in the file.
+    """
+
+    moment: np.datetime64
+    wavelength: float
+    sun_zenith: float
+    zenith: Float[np.ndarray, " direction"]
+    azimuth: Float[np.ndarray, " direction"]
+    radiance: Float[np.ndarray, " direction"]
+    kind: str = ALMUCANTAR
+    row: int = 0
+
+
+@dataclass
+class Series:
+    """Scans of a file as they stand for a `Sky`, and the time and place of each sweep among them."""
+
+    contents: Contents
+    moment: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), "datetime64[ns]"))
+
+
+def view_of(kind: str, angle: Float[np.ndarray, " direction"], sun_zenith: float):
+    """Zenith angle and azimuth from the sun, degrees, of views at an angle of a scan of some kind.
+
+    **Arguments:** `angle`, degrees: of an almucantar the azimuth from the sun, at the sun's height; in the principal
+    plane the angle from the sun, positive upward, on over the zenith.
+    """
+    if kind == ALMUCANTAR:
+        return np.full(angle.shape, sun_zenith), angle
+    along = sun_zenith - angle
+    return np.abs(along), np.where(along < 0.0, 180.0, 0.0)
+
+
+def series_of(name: str, sweeps: list[Sweep], station: dict[str, float], notes: list[str], instrument: str) -> Series:
+    """All sweeps of a file as scans in time, each seen where its filter looked.
+
+    **Arguments:** `station`, numbers by the names of `Contents.station`; `notes` of the reader, to which these are
+    added.
+    **Returns:** contents with views `[time, direction, wavelength]` and a sun `[time, wavelength]`, at the file's
+    zenith angle and the azimuth of time and place; directions without any sample are left out and counted.
+    """
+    scans = _scans(name, sweeps, notes)
+    wavelength = np.unique([sweep.wavelength for sweep in sweeps])
+    azimuth = _sun_azimuth(sweeps, station, notes)
+    kept = [_kept(scan) for scan in scans]
+    missing = sum(int(np.isnan(sweep.radiance).sum()) for sweep in sweeps)
+    if missing:
+        total = sum(sweep.radiance.size for sweep in sweeps)
+        notes.append(f"{missing} of {total} samples missing, as the file says")
+    shape = len(scans), max(int(places.size) for places in kept), wavelength.size
+    if not shape[1]:
+        raise ValueError(f"{name}: expected samples of the sky, found none in {len(sweeps)} rows")
+    radiance, zenith, around = (np.full(shape, np.nan) for _ in range(3))
+    sun_zenith, sun_azimuth = (np.full(shape[::2], np.nan) for _ in range(2))
+    moment = np.full(shape[::2], np.datetime64("NaT"), "datetime64[ns]")
+    for t, (scan, places) in enumerate(zip(scans, kept, strict=True)):
+        count = places.size
+        for sweep in scan:
+            w = int(np.searchsorted(wavelength, sweep.wavelength))
+            sun_zenith[t, w], sun_azimuth[t, w], moment[t, w] = sweep.sun_zenith, azimuth[id(sweep)], sweep.moment
+            radiance[t, :count, w] = sweep.radiance[places]
+            zenith[t, :count, w] = sweep.zenith[places]
+            around[t, :count, w] = sweep.azimuth[places] + azimuth[id(sweep)]
+        # a filter that this scan lacks looks where another one did
+        known = np.flatnonzero(np.isfinite(sun_zenith[t]))
+        for w in np.flatnonzero(np.isnan(sun_zenith[t])):
+            near = known[np.argmin(np.abs(known - w))]
+            for values in (sun_zenith, sun_azimuth, moment):
+                values[t, w] = values[t, near]
+            zenith[t, :, w], around[t, :, w] = zenith[t, :, near], around[t, :, near]
+    width = "" if "fwhm_nm" in station else f"filters of {FILTER_FWHM_NM:g} nm full width, "
+    notes.append(f"assumed, as the file does not say: {width}noise {_NOISE:.0%}, calibration {_CALIBRATION:.0%}")
+    return Series(
+        Contents(
+            name=name,
+            radiance=radiance,
+            sigma=_NOISE * radiance,
+            calibration_sigma=_CALIBRATION,
+            view_zenith=zenith,
+            view_azimuth=around % 360.0,
+            wavelength=wavelength,
+            time=_middle(moment),
+            sun_zenith=sun_zenith,
+            sun_azimuth=sun_azimuth % 360.0,
+            station={"fwhm_nm": FILTER_FWHM_NM} | station,
+            notes=notes,
+            # the sun at the zenith is no sun in radians
+            angles_known=True,
+            instrument=instrument,
+        ),
+        moment,
+    )
+
+
+def _scans(name, sweeps, notes) -> list[list[Sweep]]:
+    """Sweeps in time, cut where a while passes, the kind of scan changes or a wavelength comes again."""
+    scans: list[list[Sweep]] = []
+    repeats = 0
+    for sweep in sorted(sweeps, key=lambda sweep: sweep.moment):
+        last = scans[-1] if scans else None
+        if last is not None and sweep.kind == last[-1].kind and sweep.moment - last[-1].moment <= _LONGEST_GAP:
+            if sweep.wavelength not in [one.wavelength for one in last]:
+                last.append(sweep)
+                continue
+            repeats += 1
+        scans.append([sweep])
+    short = [scan for scan in scans if len(scan) < len(max(scans, key=len))]
+    if repeats and short:
+        again = short[0][0]
+        notes.append(
+            f"a wavelength comes again within a scan, such as {again.wavelength:g} nm in row {again.row}: each time "
+            "begins a scan of its own"
+        )
+    return scans
+
+
+def _kept(scan: list[Sweep]) -> np.ndarray:
+    """The directions of which any filter has a sample; toward the sun itself there is no sky."""
+    seen = np.isfinite([sweep.radiance for sweep in scan]).any(axis=0)
+    return np.flatnonzero(seen)
+
+
+def _sun_azimuth(sweeps: list[Sweep], station: dict[str, float], notes: list[str]) -> dict[int, float]:
+    """Of each sweep, degrees, by time and place; from the sun itself where there is no place."""
+    if not {"latitude", "longitude"} <= station.keys():
+        notes.append("no latitude and longitude: azimuths are counted from the sun, taken in the south")
+        return {id(sweep): _NO_AZIMUTH for sweep in sweeps}
+    moments = np.array([sweep.moment for sweep in sweeps])
+    _, azimuth = solar_position(moments, station["latitude"], station["longitude"], station.get("altitude_m", 0.0))
+    return {id(sweep): float(a) for sweep, a in zip(sweeps, np.rad2deg(azimuth), strict=True)}
+
+
+def _middle(moment: np.ndarray) -> np.ndarray:
+    """The middle of each scan's times, whole seconds."""
+    return moment.astype("datetime64[s]").astype(np.int64).mean(axis=1).round().astype("datetime64[s]")
