@@ -19,11 +19,8 @@ from ..views import end_points, eye_columns, Points, points_at, Views, views_of
 from . import harmonics as sun_harmonics
 from .first import sun_on_ground
 from .grid import cubic, cubic_weights, dusk, height_coordinate, NEAR_CLIMB, Resolution, sun_coordinate
-from .medium import completed, Medium, medium_of
+from .medium import completed, Medium, medium_of, per_metre
 from .transfer import Solution
-
-
-_LEAST = 1e-30
 
 
 # parts of views, where they begin and end
@@ -142,10 +139,12 @@ class SphericalField(eqx.Module):
         row = self._suns(scene.sun_zenith)
         # the forward peak counts as direct light as far as the true transmittance goes
         scaled = sun_on_ground(self.atmosphere, medium.extinction, cosine)
-        diffuse = row @ self.solution.ground + scaled - direct
+        # where little comes through thick air, it may undershoot
+        diffuse = jnp.maximum(row @ self.solution.ground + scaled - direct, 0.0)
         names = sun_harmonics.kept(self.resolution.moments, bool(medium.peaks))
         along, out = (self.solution.moments[-1, :, names.index((1, mode))] for mode in (0, 1))
         up = -(cosine * (row @ along) + np.sqrt(2.0) * jnp.sin(scene.sun_zenith) * (row @ out))
+        up = jnp.maximum(up, 0.0)
         light = scene.solar_irradiance
         return Irradiances(direct * light, diffuse * light, medium.albedo * (direct + diffuse) * light, up * light)
 
@@ -167,7 +166,7 @@ def _multiple(
     distance, points, emitted = _emitters(field, medium, views, resolution.view_nodes)
     frame = _Frame.of(scene, views)
     where = frame.at(distance)
-    zenith = jnp.arctan2(jnp.hypot(where[1], where[2]), where[0])
+    zenith = jnp.arctan2(safe_sqrt(where[1] ** 2 + where[2] ** 2), where[0])
     along, out, aside = (v[:, None] for v in (frame.along, frame.out, frame.aside))
     basis = sun_harmonics.carried(names, along, out, aside, where[1], where[2])
     mixed = jnp.einsum("kdnw,lkw->ldnw", jnp.stack(emitted), medium.moments[: sun_harmonics.TRAVELLING])
@@ -214,7 +213,7 @@ def _ground(field: SphericalField, medium: Medium, scene: Scene, views: Views) -
     depth = eye_columns(profiles, views, ends, "spherical")[..., 0].T @ medium.extinction
     cosine = ends.sun_cosine[:, 0]
     lit = sun_on_ground(field.atmosphere, medium.extinction, cosine)
-    lit = lit + field._suns(jnp.arccos(jnp.clip(cosine, -1.0, 1.0))) @ field.solution.ground
+    lit = lit + field._suns(jnp.arctan2(safe_sqrt(1.0 - cosine**2), cosine)) @ field.solution.ground
     # a view that meets the ground falls all the way to it
     meets = (ends.view_cosine[:, 0] < 0.0) & (ends.height[:, 0] < 1.0)
     return jnp.where(meets[:, None], (medium.albedo / np.pi)[None] * lit * jnp.exp(-depth), 0.0)
@@ -259,7 +258,7 @@ def _emitters(field: SphericalField, medium: Medium, views: Views, count: int):
     extinction = jnp.einsum("cdn,cw->dnw", density, medium.extinction)
     scale, missing = completed(-jnp.expm1(-column[:, -1]), jnp.sum(weight * extinction, axis=1))
     near = (jnp.arange(distance.shape[1])[None] == jnp.argmin(distance, axis=1)[:, None])[..., None]
-    weight = weight * scale[:, None] + jnp.where(near, missing[:, None] / jnp.maximum(extinction, _LEAST), 0.0)
+    weight = weight * scale[:, None] + per_metre(jnp.where(near, missing[:, None], 0.0), extinction)
     scatterers = scatterer_indices(field.atmosphere.constituents)
     emitted = [weight * density[i][..., None] * medium.scattering[k][None, None] for k, i in enumerate(scatterers)]
     return distance, points, emitted

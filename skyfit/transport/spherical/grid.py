@@ -18,8 +18,8 @@ _NEAR, _POWER = 1e3, 1.5
 NEAR_CLIMB = 2e3
 # degrees: the step between suns, even above this zenith angle and wider below it by this much a degree
 _EVEN_ABOVE, _WIDER = 86.0, 0.3
-# the light of twilight falls as exp(-0.8 z) with the sun's zenith angle z in degrees, from about 93 on
-_FALL, _DUSK, _SOFT = 0.8, 93.0, 1.5
+# the light of twilight falls as exp(-0.8 z) with the sun's zenith angle z in degrees, from about 93 on, to 130
+_FALL, _DUSK, _SOFT, _NIGHT = 0.8, 93.0, 1.5, 130.0
 
 
 class Resolution(NamedTuple):
@@ -91,7 +91,7 @@ def sun_at(place: Float[Array, "..."], step: float) -> Float[Array, "..."]:
 
 def dusk(zenith: Float[Array, "..."]) -> Float[Array, "..."]:
     """About how light falls with the sun's zenith angle (rad); what is interpolated between suns is divided by it."""
-    return jnp.exp(-_FALL * _SOFT * jnp.logaddexp(0.0, (jnp.rad2deg(zenith) - _DUSK) / _SOFT))
+    return jnp.exp(-_FALL * _SOFT * jnp.logaddexp(0.0, (jnp.minimum(jnp.rad2deg(zenith), _NIGHT) - _DUSK) / _SOFT))
 
 
 def cubic(place: Any, count: int):

@@ -14,10 +14,10 @@ from ..views import eye_columns, Points, Views
 from .grid import Rays
 
 
-# of a ray's light per unit optical depth; what is less scatters nothing
-_LEAST = 1e-30
+# optical depths and m^-1 whose squares are still a float32
+_LEAST, _NO_AIR = 1e-18, 1e-15
 # the largest factor by which the nodes of a ray are corrected; what is missing then lies near the eye
-_MOST = 1.5
+_MOST, _THICK = 1.5, 0.1
 
 
 class Medium(NamedTuple):
@@ -93,8 +93,14 @@ def completed(
     In thick air the nodes miss most of what is near the eye.
     """
     some = found > _LEAST
-    scale = jnp.minimum(jnp.where(some, whole / jnp.where(some, found, 1.0), 0.0), _MOST)
-    return scale, jnp.maximum(whole - scale * found, 0.0)
+    scale = jnp.minimum(jnp.where(some, whole / jnp.where(some, found, 1.0), 1.0), _MOST)
+    return scale, jnp.where(whole > _THICK, jnp.maximum(whole - scale * found, 0.0), 0.0)
+
+
+def per_metre(share: Float[Array, "*shape"], extinction: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """The weight (m) of a node that holds a `share` of a ray's light, none where nothing is to hold it."""
+    some = extinction > _NO_AIR
+    return jnp.where(some, share / jnp.where(some, extinction, 1.0), 0.0)
 
 
 def _views(height: np.ndarray, cosine: np.ndarray) -> Views:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...atmosphere import Atmosphere
-from ...numerics import as_float
+from ...numerics import as_float, safe_sqrt
 from ..columns import EARTH_RADIUS
 from . import harmonics as sun_harmonics
 from .first import FEW_AZIMUTHS, first_order, spread_azimuths
@@ -18,7 +18,7 @@ from .medium import Medium, medium_of, ray_weights, RayWeights
 
 # the last order is followed by those that fall like it; no slower than this
 _SLOWEST = 0.95, 0.999
-_NO_LIGHT = 1e-30
+_NO_LIGHT = 1e-15
 
 
 class Solution(NamedTuple):
@@ -89,7 +89,7 @@ def solve(
     step = jax.checkpoint(step)
     (last, total), (before, after) = jax.lax.scan(step, (start, start), length=resolution.orders - 1)
     before, after = before[-1], after[-1]
-    some = before > 0.0
+    some = before > _NO_LIGHT
     # no place falls more slowly than thick air does as a whole, or than this
     whole = jnp.sum(after, axis=(0, 1)) / jnp.maximum(jnp.sum(before, axis=(0, 1)), _NO_LIGHT)
     slowest = jnp.clip(whole, *_SLOWEST)[None, None]
@@ -123,7 +123,7 @@ def _carrier(rays: Rays, names, azimuth, sun_place, sun, resolution: Resolution,
         return [s + distance * v[:, pick] for s, v in zip(start, (along, out, aside), strict=True)]
 
     def suns_at(place):
-        zenith = jnp.arctan2(jnp.hypot(place[1], place[2]), place[0])
+        zenith = jnp.arctan2(safe_sqrt(place[1] ** 2 + place[2] ** 2), place[0])
         row = cubic_weights(sun_coordinate(zenith, resolution.sun_step) - sun_place[0], count)
         return (row * dusk(zenith)[..., None]).reshape(*zenith.shape[:2], -1, count)
 
