@@ -39,7 +39,11 @@ class Bruneton(AbstractSolver):
     6360); any constituents, each scatterer but the air with a table of its own; the logarithm of T is stored;
     paths are integrated by graded Gauss nodes, single scattering over their lit parts; spheres by Gauss nodes on
     either side of the horizon, with phase functions whose sum is made one.
-    **Valid:** observers from the ground to space, suns to `suns`. Scalar: no polarisation.
+    **Valid:** observers from the ground to space, suns to `suns`, the last five degrees of which are a `LowSunWarning`.
+    Against backward Monte Carlo (experiments/validation/space.py) `normal` is 1.9 % off in the median under suns to 89
+    degrees, mostly for the orders that it leaves out (0.5 % with eight and `rescaled`), 4 % from 89 to 96, 7 % from 96
+    on; level views and views into the Earth's shadow 20 to 100 %. The limb in twilight, from space, is several times
+    too bright: S is linear between suns. Scalar: no polarisation.
     **Source:** Bruneton & Neyret 2008, Precomputed Atmospheric Scattering.
     """
 
@@ -91,7 +95,8 @@ class Bruneton(AbstractSolver):
 
     @property
     def suns(self) -> Suns:
-        return Suns(float(np.degrees(np.arccos(self.lowest_sun))))
+        # the largest errors of 95 % of views from the ground under the last suns, by the oracle of space.py
+        return Suns(float(np.degrees(np.arccos(self.lowest_sun))), 0.3)
 
     @property
     def observers(self) -> Observers:
