@@ -191,10 +191,12 @@ def _multiple(
     # what does not travel: by the sun over the lowest point of each view
     lowest = jnp.clip(-(EARTH_RADIUS + views.height) * views.cosine, views.entry, views.length)[:, None]
     where = [v[:, 0] for v in frame.at(lowest)]
-    size = jnp.maximum(safe_sqrt(where[1] ** 2 + where[2] ** 2), 1.0)
-    lean = (where[1] * frame.out + where[2] * frame.aside) / size
-    across = (where[1] * frame.aside - where[2] * frame.out) / size
-    row = field._suns(jnp.arctan2(size, where[0]))
+    away = safe_sqrt(where[1] ** 2 + where[2] ** 2)
+    # on the axis of the sun, where every azimuth is as good, that of the observer
+    off, size = away > 1.0, jnp.maximum(away, 1.0)
+    lean = jnp.where(off, (where[1] * frame.out + where[2] * frame.aside) / size, frame.out)
+    across = jnp.where(off, (where[1] * frame.aside - where[2] * frame.out) / size, frame.aside)
+    row = field._suns(jnp.arctan2(away, where[0]))
     basis = sun_harmonics.of_views(names[travelling:], frame.along, lean, across) * share[travelling:, None]
     between = cubic_weights(height_coordinate(points.height, resolution.levels), resolution.levels)
     source = jnp.einsum("lshw,ds,hd->dlhw", field.solution.moments[:, :, travelling:], row, basis)
