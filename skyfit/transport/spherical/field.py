@@ -18,9 +18,9 @@ from ..single import single_scattering_of
 from ..views import end_points, eye_columns, Points, points_at, Views, views_of
 from . import harmonics as sun_harmonics
 from .first import sun_on_ground
-from .grid import cubic, cubic_weights, dusk, height_coordinate, NEAR_CLIMB, Resolution, sun_coordinate
+from .grid import cubic_weights, dusk, height_coordinate, linear, NEAR_CLIMB, Resolution, sun_coordinate
 from .medium import completed, Medium, medium_of, per_metre
-from .transfer import Solution
+from .transfer import FINER, Solution
 
 
 # parts of views, where they begin and end
@@ -171,9 +171,10 @@ def _multiple(
     basis = sun_harmonics.carried(names, along, out, aside, where[1], where[2])
     mixed = jnp.einsum("kdnw,lkw->ldnw", jnp.stack(emitted), medium.moments[: sun_harmonics.TRAVELLING])
     place = sun_coordinate(zenith, resolution.sun_step) - field.sun_place[0]
-    first, suns = cubic(place, field.sun_place.shape[0])
-    level, rows = cubic(height_coordinate(points.height, resolution.levels), resolution.levels)
-    table = field.solution.moments[:, :, :travelling]
+    table = field.solution.fine
+    first, suns = linear(FINER * place, table.shape[1])
+    height = height_coordinate(points.height, resolution.levels)
+    level, rows = linear(FINER * height, table.shape[0])
     weight = jnp.stack([across * up for across in suns for up in rows]) * dusk(zenith)[None]
     factor = jnp.stack(basis, axis=-1) * share[None, None, :travelling]
     # for each harmonic that travels
@@ -183,7 +184,7 @@ def _multiple(
         here = table[level + at[0], first + at[1]]
         return light + jnp.einsum("dn,dnh,hdnw,dnhw->dw", at[2], factor, mixed, here), None
 
-    places = jnp.asarray([(j, i) for i in range(4) for j in range(4)]).T
+    places = jnp.asarray([(j, i) for i in range(2) for j in range(2)]).T
     light = jnp.zeros((zenith.shape[0], *field.wavelength_nm.shape), zenith.dtype)
     light, _ = jax.lax.scan(jax.checkpoint(corner), light, (*places, weight))
     if not medium.peaks:
@@ -198,10 +199,15 @@ def _multiple(
     across = jnp.where(off, (where[1] * frame.aside - where[2] * frame.out) / size, frame.aside)
     row = field._suns(jnp.arctan2(away, where[0]))
     basis = sun_harmonics.of_views(names[travelling:], frame.along, lean, across) * share[travelling:, None]
-    between = cubic_weights(height_coordinate(points.height, resolution.levels), resolution.levels)
-    source = jnp.einsum("lshw,ds,hd->dlhw", field.solution.moments[:, :, travelling:], row, basis)
+    between = cubic_weights(height, resolution.levels)
+    moments = field.solution.moments[:, :, travelling:]
     for k in medium.peaks:
-        local = jnp.einsum("dlhw,hw->dlw", source, medium.moments[degree[travelling:], k])
+        weighted = moments * medium.moments[degree[travelling:], k][None, None]
+        if views.aloft:
+            local = jnp.einsum("lshw,ds,hd->dlw", weighted, row, basis)
+        else:
+            # all views begin under one sun
+            local = jnp.einsum("lhw,hd->dlw", jnp.einsum("lshw,s->lhw", weighted, row[0]), basis)
         light = light + jnp.einsum("dnw,dnl,dlw->dw", emitted[k], between, local)
     return light
 

@@ -115,6 +115,13 @@ def cubic_weights(place: Any, count: int) -> Any:
     return row
 
 
+def linear(place: Float[Array, "..."], count: int):
+    """The first of two even nodes around a place and their weights; the end's value beyond the ends."""
+    inside = jnp.clip(place, 0.0, count - 1.0)
+    first = jnp.clip(jnp.floor(inside).astype(jnp.int32), 0, count - 2)
+    return first, (1.0 - (inside - first), inside - first)
+
+
 def _library(values):
     return jnp if isinstance(values, jax.Array) else np
 

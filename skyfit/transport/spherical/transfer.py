@@ -19,14 +19,24 @@ from .medium import Medium, medium_of, ray_weights, RayWeights
 # the last order is followed by those that fall like it; no slower than this
 _SLOWEST = 0.95, 0.999
 _NO_LIGHT = 1e-15
+# what is read linearly between nodes this much closer than those of the cubics is within some 1e-4 of them
+FINER = 4
 
 
 class Solution(NamedTuple):
-    """The diffuse light of all orders per unit solar irradiance.
+    """The diffuse light of all orders per unit solar irradiance, over `dusk` of the sun.
 
-    `moments` of the radiance `[level, sun, harmonic, wavelength]`, over `dusk` of the sun; `ground`, diffuse irradiance
-    on level ground `[sun, wavelength]`, over `dusk`.
+    `moments` of the radiance; `ground`, diffuse irradiance on level ground; `fine`, the moments that travel, `FINER`
+    times as many levels and suns: views read it linearly.
     """
+
+    moments: Float[Array, "level sun harmonic wavelength"]
+    ground: Float[Array, "sun wavelength"]
+    fine: Float[Array, "finelevel finesun travelling wavelength"]
+
+
+class Order(NamedTuple):
+    """The light of one order, as `Solution` has that of all."""
 
     moments: Float[Array, "level sun harmonic wavelength"]
     ground: Float[Array, "sun wavelength"]
@@ -60,7 +70,7 @@ def solve(
     names = sun_harmonics.kept(resolution.moments, bool(medium.peaks))
     if not medium.scattering.shape[0]:
         shape = resolution.levels, *sun_place.shape, len(names), *wavelength_nm.shape
-        return Solution(jnp.zeros(shape), jnp.zeros((*sun_place.shape, *wavelength_nm.shape)))
+        return _with_fine(jnp.zeros(shape), jnp.zeros((*sun_place.shape, *wavelength_nm.shape)), names)
     azimuths = resolution.moments + 1 if medium.peaks else FEW_AZIMUTHS
     azimuth = np.pi * (np.arange(azimuths) + 0.5) / azimuths
     weights = ray_weights(atmosphere, medium, rays)
@@ -70,14 +80,14 @@ def solve(
     first = first_order(atmosphere, medium, rays, azimuth, sun, weights.passed, resolution.first_nodes)
     scale = 1.0 / dusk(sun)
 
-    def moments(light):
+    def moments(light) -> Order:
         """`light` `[sun, level, zenith, azimuth, wavelength]` in harmonics, and what of it falls on the ground."""
         weighted = light * solid_angle[None, :, :, None, None] * scale[:, None, None, None, None]
         found = jnp.einsum("shlza,slzaw->lshw", carrier.views, weighted)
         down = as_float(np.maximum(rays.zenith_cosine[0], 0.0))
-        return Solution(found, jnp.einsum("z,szaw->sw", down, weighted[:, 0]))
+        return Order(found, jnp.einsum("z,szaw->sw", down, weighted[:, 0]))
 
-    def following(order: Solution) -> Solution:
+    def following(order: Order) -> Order:
         return moments(_carried(order, carrier, medium, rays, names, dusk(sun), azimuth))
 
     def step(carry, _):
@@ -95,13 +105,20 @@ def solve(
     slowest = jnp.clip(whole, *_SLOWEST)[None, None]
     ratio = jnp.clip(jnp.where(some, after / jnp.where(some, before, 1.0), 0.0), 0.0, slowest)
     more = ratio / (1.0 - ratio)
-    return Solution(
-        total.moments + more[:, :, None] * last.moments,
-        total.ground + more[0] * last.ground,
-    )
+    whole = total.moments + more[:, :, None] * last.moments, total.ground + more[0] * last.ground
+    return _with_fine(*whole, names)
 
 
-def _mean(order: Solution):
+def _with_fine(moments, ground, names) -> Solution:
+    def finer(count: int):
+        return as_float(cubic_weights(np.arange(FINER * (count - 1) + 1) / FINER, count))
+
+    levels, suns = (finer(count) for count in moments.shape[:2])
+    travelling = moments[:, :, : sun_harmonics.travelling(names)]
+    return Solution(moments, ground, jnp.einsum("il,js,lshw->ijhw", levels, suns, travelling))
+
+
+def _mean(order: Order):
     return order.moments[:, :, 0]
 
 
@@ -136,7 +153,7 @@ def _carrier(rays: Rays, names, azimuth, sun_place, sun, resolution: Resolution,
     return Carrier(views, basis, suns_at(place), at_ground, as_float(rays.between), weights)
 
 
-def _carried(order: Solution, carrier: Carrier, medium: Medium, rays: Rays, names, fall, azimuth):
+def _carried(order: Order, carrier: Carrier, medium: Medium, rays: Rays, names, fall, azimuth):
     """Radiance of the next order, `[sun, level, zenith, azimuth, wavelength]`."""
     travelling = sun_harmonics.travelling(names)
     degree = np.array([pair[0] for pair in names])
