@@ -18,6 +18,7 @@ RECOVERY = HERE / "results" / "recovery.json"
 INVERSION = HERE / "results" / "inversion_speed.json"
 MANY = HERE / "results" / "fit_many.json"
 POLARISATION = HERE / "results" / "polarisation.json"
+SPACE = HERE / "results" / "space.json"
 IPRT = HERE / "results" / "iprt.json"
 GEOMETRIES = ("flat", "spherical")
 TABLES = "<!-- figures of experiments/results/accuracy.json -->", "<!-- end of figures -->"
@@ -326,6 +327,39 @@ def summary(record: dict, measured: dict, recovery: dict, refit: dict) -> str:
     return "\n".join(lines)
 
 
+def ground_to_space(record: dict) -> str:
+    """Solvers from the ground to space and from noon to night: errors, size, time."""
+    lines = [
+        "| ground to space, Monte Carlo | " + " | ".join(record["tolerance"]) + " | field | prepare | 343 views |",
+        "|---|" + "---|" * (len(record["tolerance"]) + 3),
+    ]
+    for name, row in record["solvers"].items():
+        cells = []
+        for span in record["tolerance"]:
+            part = row["ranges"][span]
+            if "median" not in part:
+                cells.append("refused")
+                continue
+            refused = f", {part['refused']} of {part['lines']} refused" if part["refused"] else ""
+            within = f"{100 * part['within tolerance + 3 sigma']:.3g} %"
+            cells.append(f"{100 * part['median']:.2g} % ({within}{refused})")
+        cost = row["cost"]
+        prepare = next((f"{value:.2g} s" for key, value in cost.items() if key.startswith("prepare 1")), "-")
+        size = f"{cost['field, bytes'] / 1e6:.2g} MB" if "field, bytes" in cost else "-"
+        lines.append(
+            f"| {name} | " + " | ".join(cells) + f" | {size} | {prepare} "
+            f"| {1e3 * cost['lookup of 343 directions, s']:.2g} ms |"
+        )
+    tolerances = ", ".join(f"{100 * value:g}" for value in record["tolerance"].values())
+    lines += [
+        "",
+        "Three atmospheres, observers at 0, 10, 30 and 400 km, by zenith angle of the sun: median error and, in",
+        f"brackets, the share of lines within {tolerances} % and three standard errors of the Monte Carlo. One",
+        "wavelength; times are of shared cores under whatever else they did.",
+    ]
+    return "\n".join(lines)
+
+
 def between(text: str, marks: tuple[str, str], content: str) -> str:
     """The text with other content between two marks."""
     before, rest = text.split(marks[0])
@@ -345,6 +379,7 @@ def updated() -> dict[pathlib.Path, str]:
             tables(record),
             polarised(record, read(POLARISATION)),
             from_every_height(read(IPRT)),
+            ground_to_space(read(SPACE)),
             inverted(measured, recovery, read(INVERSION), read(MANY)),
             speed(read(BENCHMARK)),
             analytic(refit, read(FITS)),

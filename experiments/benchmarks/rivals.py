@@ -34,6 +34,10 @@ class Optics(NamedTuple):
     ground: np.ndarray
 
 
+# optical depths `[wavelength]` and the density by height (m) of what only absorbs
+Absorber = tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]
+
+
 class View(NamedTuple):
     """A product of zenith angles and azimuths from the sun's, degrees, and the sun; directions are its "ij" order."""
 
@@ -157,15 +161,17 @@ def prepare_sasktran2(
     return _sasktran2_run(optics, moments, *_sasktran2_parts(view, moments, source, streams, geometry, layers))
 
 
-def prepare_sasktran2_orders(optics: Optics, view: View, suns: int) -> Callable:
-    """sasktran2 with successive orders on a sphere, solved under some suns, on its uniform grid of 1 km."""
+def prepare_sasktran2_orders(optics: Optics, view: View, suns: int, absorber: Absorber | None = None) -> Callable:
+    """sasktran2 with successive orders on a sphere, solved under some suns, on a uniform grid of 500 m."""
     moments = moments_for(optics.asymmetry)
-    config, model, height, views = _sasktran2_parts(view, moments, "SuccessiveOrders", 8, "spherical", 100, even=True)
+    config, model, height, views = _sasktran2_parts(view, moments, "SuccessiveOrders", 8, "spherical", 200, even=True)
     config.num_sza = suns
-    return _sasktran2_run(optics, moments, config, model, height, views)
+    return _sasktran2_run(optics, moments, config, model, height, views, absorber)
 
 
-def _sasktran2_run(optics: Optics, moments: int, config, model, height, views) -> Callable:
+def _sasktran2_run(
+    optics: Optics, moments: int, config, model, height, views, absorber: Absorber | None = None
+) -> Callable:
     import sasktran2 as sk
 
     air = sk.Atmosphere(model, config, numwavel=optics.air.size, calculate_derivatives=False)
@@ -180,6 +186,11 @@ def _sasktran2_run(optics: Optics, moments: int, config, model, height, views) -
         extinction = (shape / np.trapezoid(shape, height))[:, None] * depth[None]
         every = np.tile(each[:, None], (1, height.size, 1))
         air[name] = sk.constituent.Manual(extinction, np.tile(albedo, (height.size, 1)), every)
+    if absorber is not None:
+        depth, shape = absorber[0], absorber[1](height)
+        extinction = (shape / np.trapezoid(shape, height))[:, None] * depth[None]
+        every = np.tile(np.where(degree == 0, 1.0, 0.0)[:, None] + 0.0 * depth, (1, height.size, 1))
+        air["absorber"] = sk.constituent.Manual(extinction, np.zeros_like(extinction), every)
     air["ground"] = sk.constituent.LambertianSurface(optics.ground)
     engine = sk.Engine(config, model, views)
     return lambda: _sasktran2_radiance(engine.calculate_radiance(air))

@@ -162,9 +162,8 @@ def flaws(asked: Prepared) -> list[str]:
     counts = asked.sampling.used[:, :, asked.chosen].sum(axis=(1, 2))
     sun = asked.sky.sun_zenith.reshape(len(counts), -1).max(axis=1)
     lowest = np.radians(asked.solver.suns.largest_deg)
-    by_night = asked.solver.suns.largest_deg > 90.0
     return [
-        "sun_below_horizon" if not (sun[t] < 0.5 * np.pi or by_night and sun[t] <= lowest)
+        "sun_below_horizon" if not (sun[t] < 0.5 * np.pi or asked.solver.after_sunset and sun[t] <= lowest)
         else "sun_too_low" if sun[t] > lowest
         else "no_samples" if not counts[t]
         else "too_few_samples" if counts[t] < len(asked.free)

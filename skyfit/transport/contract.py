@@ -4,7 +4,7 @@ import functools
 import warnings
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Literal, NamedTuple, TypeVar
+from typing import ClassVar, Literal, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -118,6 +118,8 @@ class AbstractSolver(Ranged):
     """
 
     geometry: eqx.AbstractVar[Geometry]
+    # whether skies after sunset are near enough to the sky's own to be inverted
+    after_sunset: ClassVar[bool] = False
 
     @property
     @abstractmethod

@@ -1,6 +1,7 @@
 """Multiple scattering in a spherical atmosphere, from the ground to space and from noon to deep twilight."""
 
 import math
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -70,6 +71,7 @@ class Spherical(AbstractSolver):
     view_nodes: int = eqx.field(static=True, default=16, metadata=within(2.0, np.inf))
     nodes: int = eqx.field(static=True, default=24, metadata=within(2.0, np.inf))
     geometry: Geometry = eqx.field(static=True, default="spherical")
+    after_sunset: ClassVar[bool] = True
 
     def __check_init__(self):
         if self.geometry != "spherical":
