@@ -41,6 +41,8 @@ VIEW = {"zenith": [0.3, 0.5], "azimuth": [0.0, 0.1]}
 LINES = {"table_wavelength_nm": [400.0, 700.0]}
 # a class, arguments that are right, and of each field the ends of its range
 RANGES = [
+    (skyfit.Spherical, {}, {"sun_step": (0.2, 5.0)}),
+    (skyfit.Bruneton, {}, {"lowest_sun": (-0.9, -0.01)}),
     (
         Aerosol, {"optical_depth": 0.1},
         {
@@ -140,7 +142,7 @@ RANGES = [
     ),
 ]  # fmt: skip
 # what a call answers or a file holds: nobody makes one with arguments of his own
-ANSWERS = {"Fit", "Fits", "Irradiances", "Path", "Sky", "Stokes", "Upsampled"}
+ANSWERS = {"Fit", "Fits", "Irradiances", "Path", "Sky", "SphericalField", "Stokes", "Upsampled"}
 # parts by name, and coefficients of a fit of which each number is one
 OTHER = {"Atmosphere", "CIEClear", "ExtendedPreetham", "Preetham"}
 # ends that another condition refuses: an interval that is none, a density of 0, no noise at all
