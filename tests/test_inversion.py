@@ -280,3 +280,11 @@ def test_error_bars_grow_with_noise_that_the_file_understates(x64):
         off.append((fit.values[0] - truth) / fit.sigma[0])
     inside = np.mean(np.abs(off) < 1.0, axis=0)
     assert np.all((inside >= 0.55) & (inside <= 0.80)), inside
+
+
+@pytest.mark.parametrize(("asymmetry", "said"), ((0.7, False), (0.88, True)))
+def test_haze_that_scatters_farther_forward_than_the_streams_resolve_is_noted(asymmetry, said):
+    haze = skyfit.Atmosphere.from_optical_depth(0.5, phase=skyfit.HenyeyGreenstein(asymmetry))
+    doubt = skyfit.OrdersOfScattering.normal().doubt(haze)
+    assert (doubt is not None) == said
+    assert skyfit.OrdersOfScattering.fine().doubt(haze) is None

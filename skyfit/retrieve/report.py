@@ -16,7 +16,7 @@ from .sampling import scale_at
 from .uncertainty import Estimate
 
 
-_WORDS = ("result", "undetermined")
+_WORDS = ("result", "undetermined", "doubt")
 
 
 def fit_of(asked: Prepared, groups: Sequence[np.ndarray], parts: Sequence[Estimate]) -> Fit:
@@ -31,7 +31,8 @@ def fit_of(asked: Prepared, groups: Sequence[np.ndarray], parts: Sequence[Estima
     # a lamp in the view does not make the rest of the fit a poor one
     out = outliers(stack["weight"])
     judged = sky, stack["model"], asked.sampling.used & ~out[..., None]
-    notes = (*asked.sampling.notes, *_left_out(sky, out), *doubts(*judged, stack.pop("kept_chi_square")))
+    beyond = [f"{at_time(sky, t)}{said}" for t, said in enumerate(words.pop("doubt")) if said]
+    notes = (*asked.sampling.notes, *_left_out(sky, out), *doubts(*judged, stack.pop("kept_chi_square")), *beyond)
     pairs = zip(words["result"], poor_fit(*judged), strict=True)
     words["result"] = tuple("poor_fit" if poor and name == "successful" else name for name, poor in pairs)
     return Fit(
@@ -96,6 +97,7 @@ def _row(asked: Prepared, t: int, index: int, part: Estimate) -> dict:
         "cost": float(part.cost),
         "result": result,
         "undetermined": in_words(free, found, triangle, asked.priors),
+        "doubt": asked.solver.doubt(fitted.atmosphere),
     }
 
 

@@ -136,6 +136,10 @@ class AbstractSolver(Ranged):
     def model_error(self) -> float:
         """The relative size of each of the smooth errors that a retrieval allows this solver (`error_shapes`)."""
 
+    def doubt(self, atmosphere: Atmosphere) -> str | None:
+        """What of an atmosphere the solver is further off for than it states, in words; None if nothing is."""
+        return None
+
     @abstractmethod
     def coarser(self) -> "AbstractSolver":
         """The solver of the slopes of a retrieval, some per cent off; itself where it is cheap."""

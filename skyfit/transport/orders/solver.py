@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...atmosphere import Atmosphere
-from ...numerics import within
+from ...numerics import as_float, within
 from ...scene import Scene
 from ..contract import (
     AbstractSolver,
@@ -33,6 +33,10 @@ from .layering import peaked, Resolution, scaled_optics
 from .reconstruct import bare_ground, multiple_scattering
 from .spectrum import interpolated, spectral_nodes, SpectralNodes
 from .streams import diffuse_field
+
+
+# nm, where a phase function is judged, and the moment beyond the streams from which on they miss some of it
+_GREEN, _FORWARD = np.array([550.0]), 0.05
 
 
 class OrdersOfScattering(AbstractSolver):
@@ -123,6 +127,18 @@ class OrdersOfScattering(AbstractSolver):
     @property
     def model_error(self) -> float:
         return POLARISED_ERROR if self.polarised else SCALAR_ERROR
+
+    def doubt(self, atmosphere: Atmosphere) -> str | None:
+        # against DISORT with 48 streams: 1.2 % at 0.07 (asymmetry 0.85, optical depth 3), 2.2 % at 0.13 (0.88, 1)
+        phases = [phase for _, phase in peaked(atmosphere.constituents)]
+        count = 2 * self.streams
+        left = [float(np.max(np.asarray(phase.moments(count + 1, as_float(_GREEN))[count]))) for phase in phases]
+        if not left or max(left) < _FORWARD:
+            return None
+        return (
+            f"haze scatters so far forward that {self.streams} streams may be 1 to 2 % off, more than the stated model "
+            "error: `OrdersOfScattering.fine`, or `--preset fine`, resolves it"
+        )
 
     def coarser(self) -> "OrdersOfScattering":
         return OrdersOfScattering.draft(self.geometry, self.polarised)
