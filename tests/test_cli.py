@@ -826,3 +826,39 @@ def test_the_demo_recovers_the_sample(checkout, skyfit_command, tmp_path):
     assert time["parameters"]["aerosol_optical_depth"]["value"] == pytest.approx(0.18, abs=0.01)
     assert time["parameters"]["angstrom_exponent"]["value"] == pytest.approx(1.35, abs=0.1)
     assert narrow(done.stdout)
+
+
+def test_an_atmosphere_of_a_file_is_simulated_after_sunset_and_written_along(skyfit_command, tmp_path):
+    (tmp_path / "site.toml").write_text(
+        '[constituents.rayleigh]\nkind = "Rayleigh"\npressure = 9e4\n'
+        '[constituents.volcano]\nkind = "Aerosol"\noptical_depth = 0.05\n'
+        'phase = {kind = "HenyeyGreenstein", asymmetry = 0.6}\n[ground]\nalbedo = 0.3\n'
+    )
+    common = ("simulate", "--solver", "single", "--wavelengths", "450,600", "--atmosphere")
+    skyfit_command(*common, "site.toml", "--sun-zenith", 95, "--out", "s.nc", cwd=tmp_path)
+    sky = skyfit.read(tmp_path / "s.nc")
+    made = sky.made_by["atmosphere"]
+    assert made["constituents"]["volcano"]["optical_depth"] == pytest.approx(0.05)
+    assert set(made["constituents"]) == {"rayleigh", "volcano"} and np.any(sky.radiance > 0.0)
+    # what a file was made with makes it again
+    (tmp_path / "again.json").write_text(json.dumps(made))
+    skyfit_command(*common, "again.json", "--sun-zenith", 95, "--out", "again.nc", cwd=tmp_path)
+    np.testing.assert_allclose(skyfit.read(tmp_path / "again.nc").radiance, sky.radiance, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "more", "words"),
+    (
+        ("x = [", (), "not TOML"),
+        ('[constituents.haze]\nkind = "Smoke"\n', (), "found 'Smoke'"),
+        ("[ground]\nalbedo = 0.3\n", ("--turbidity", 3), "`--turbidity` must be left out"),
+        (None, (), "No such file"),
+    ),
+)
+def test_a_file_that_is_no_atmosphere_is_one_line(skyfit_command, tmp_path, text, more, words):
+    if text is not None:
+        (tmp_path / "a.toml").write_text(text)
+    call = ("simulate", "--atmosphere", "a.toml", "--sun-zenith", 60, "--out", "s.nc", *more)
+    done = skyfit_command(*call, cwd=tmp_path, check=False)
+    assert done.returncode == 2 and words in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "s.nc").exists()

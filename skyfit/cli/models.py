@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import fields
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +12,7 @@ from ..atmosphere import (
     Aerosol,
     Atmosphere,
     Exponential,
+    from_description,
     Ground,
     meteorological_range as meteorological_range_of,
     optical_depth_to_turbidity,
@@ -56,6 +58,21 @@ def make_atmosphere(
     ground = Ground(albedo=in_range("--ground-albedo", ground_albedo, 0.0, 1.0))
     air = Rayleigh(pressure=in_range("--pressure", pressure, 2e3, 1.2e5))
     return lambda depth: Atmosphere(rayleigh=air, aerosol=Aerosol(depth, **haze), ozone=gas, ground=ground)
+
+
+def atmosphere_of(path: Path) -> Atmosphere:
+    """The atmosphere of a TOML or JSON file, in the layout of `describe`, or of what made a simulated file."""
+    import json
+    import tomllib
+
+    try:
+        text = path.read_text(encoding="utf-8")
+        block = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except OSError as error:
+        raise ValueError(f"`--atmosphere`: {path}: {error.strerror}") from error
+    except (json.JSONDecodeError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"`--atmosphere`: {path}: not TOML (or JSON, where its name ends so): {error}") from error
+    return from_description(block, str(path))
 
 
 def in_words(solver: AbstractSolver) -> str:

@@ -43,7 +43,7 @@ SolverOption = Annotated[
     str,
     typer.Option(
         metavar=f"[{'|'.join(SOLVER_NAMES)}]",
-        help="all orders of scattering, two, one, Klassen's shells, Hoffman's uniform air",
+        help="all orders of scattering, the same on into night, two, one, Klassen's shells, Hoffman's uniform air",
     ),
 ]
 PresetOption = Annotated[PresetName, typer.Option(help="resolution of the solver")]

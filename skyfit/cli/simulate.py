@@ -25,10 +25,13 @@ from .options import (
 )
 
 
+# what a file of an atmosphere holds
+_OF_ATMOSPHERES = (
+    "angstrom_exponent", "single_scattering_albedo", "asymmetry", "haze_height", "ground_albedo", "ozone", "pressure",
+)  # fmt: skip
 # what only a simulation heeds
 _OF_SIMULATIONS = (
-    "angstrom_exponent", "single_scattering_albedo", "asymmetry", "haze_height", "ground_albedo", "ozone", "pressure",
-    "fwhm", "solver", "preset", "geometry", "polarised",
+    *_OF_ATMOSPHERES, "atmosphere", "fwhm", "solver", "preset", "geometry", "polarised",
 )  # fmt: skip
 
 
@@ -56,6 +59,10 @@ def simulate(
     pressure: Pressure = SEA_LEVEL_PRESSURE,
     wavelengths: Annotated[str, typer.Option(help="nm, first:last:step or a,b,c")] = "380:780:10",
     directions: Annotated[Path | None, typer.Option(help="CSV with view_zenith, view_azimuth")] = None,
+    atmosphere: Annotated[
+        Path | None,
+        typer.Option(help="TOML or JSON with constituents and ground, instead of their options"),
+    ] = None,
     fwhm: LineShape = None,
     coefficients: Annotated[
         str | None, typer.Option(help="no solver but an analytic sky: published, extended or a coefficients.json")
@@ -86,15 +93,16 @@ def simulate(
     from .programs import kept_radiance
     from .sun import sun_of
 
-    haze = turbidity_of(turbidity, aerosol_optical_depth, meteorological_range, haze_height)
+    given = None if atmosphere is None else _given_atmosphere(context, atmosphere)
+    haze = 1.0 if given else turbidity_of(turbidity, aerosol_optical_depth, meteorological_range, haze_height)
     analytic, lowest = (None, 90.0) if coefficients is None else _analytic_sky(context, coefficients)
     chosen = make_solver(solver, preset, geometry, solver == "orders" if polarised is None else polarised)
-    lowest = min(lowest, chosen.suns.largest_deg) if analytic is None else lowest
+    lowest = chosen.suns.largest_deg if analytic is None else lowest
     zenith, azimuth, about = sun_of(sun_zenith, sun_azimuth, time, at, pressure, lowest)
     if out.suffix not in (".nc", ".csv") or not out.absolute().parent.is_dir():
         raise ValueError(f"`--out` must be a .nc or .csv file in a folder that is there, got {out}")
     phase = HenyeyGreenstein(in_range("--asymmetry", asymmetry, -0.98, 0.98))
-    atmosphere = make_atmosphere(
+    air = given or make_atmosphere(
         phase, angstrom_exponent, single_scattering_albedo, haze_height, ground_albedo, ozone, pressure
     )(turbidity_to_optical_depth(haze))
     view = hemisphere(343) if directions is None else Directions(*read_directions(directions))
@@ -109,12 +117,12 @@ def simulate(
             # said once, in the command's own words
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", LowSunWarning)
-                kept = kept_radiance(chosen, atmosphere, scene, folder)
+                kept = kept_radiance(chosen, air, scene, folder)
             said = low_sun(chosen, scene.sun_zenith)
             if said is not None:
                 notices.print(f"note: {said}", highlight=False, markup=False, soft_wrap=True)
             radiance, model = np.asarray(kept, float), in_words(chosen)
-            made_by = {"solver": settings_of(chosen), "atmosphere": describe(atmosphere)}
+            made_by = {"solver": settings_of(chosen), "atmosphere": describe(air)}
         else:
             radiance, model = np.asarray(analytic.radiance(haze, scene), float), type(analytic).__name__
             made_by = {"coefficients": coefficients, "turbidity": haze}
@@ -122,7 +130,7 @@ def simulate(
                 notices.print("these coefficients extrapolate here", highlight=False)
     about |= {"made_by": {"skyfit_version": skyfit_version(), "model": model, "precision": precision()} | made_by}
     low, high, _ = STATION_RANGES["pressure_pa"]
-    if analytic is None:
+    if analytic is None and given is None:
         # air that no station has is told by what made the sky alone
         about |= {"ozone_du": ozone, "pressure_pa": pressure if low <= pressure <= high else np.nan}
     sky = Sky(
@@ -136,19 +144,33 @@ def simulate(
     console.print(f"model: {model}, {precision()}", highlight=False)
 
 
+def _given_atmosphere(context: typer.Context, path: Path):
+    """The atmosphere of a file; refuses the options that it holds."""
+    from .models import atmosphere_of
+
+    _refuse(
+        context,
+        ("turbidity", "aerosol_optical_depth", "meteorological_range", *_OF_ATMOSPHERES),
+        "`--atmosphere`, whose file holds it",
+    )
+    return atmosphere_of(path)
+
+
+def _refuse(context: typer.Context, options: tuple[str, ...], beside: str) -> None:
+    """A `ValueError` for an option that was typed where another decides."""
+    for held in options:
+        source = context.get_parameter_source(held)
+        if source is not None and source.name == "COMMANDLINE":
+            raise ValueError(f"`--{held.replace('_', '-')}` must be left out with {beside}")
+
+
 def _analytic_sky(context: typer.Context, name: str):
     """The analytic sky of a name or a file, and the lowest sun that it takes, degrees; refuses what it holds itself."""
     from ..analytic import ExtendedPreetham, Preetham
     from ..analytic.extended import SUN_ZENITH_RANGE_DEG
     from ..records import read_coefficients
 
-    for held in _OF_SIMULATIONS:
-        source = context.get_parameter_source(held)
-        if source is not None and source.name == "COMMANDLINE":
-            option = held.replace("_", "-")
-            raise ValueError(
-                f"`--{option}` must be left out with `--coefficients`, whose atmosphere is that of their fit"
-            )
+    _refuse(context, _OF_SIMULATIONS, "`--coefficients`, whose atmosphere is that of their fit")
     sky = {"published": Preetham.published, "extended": ExtendedPreetham.shipped}.get(
         name, lambda: read_coefficients(name)
     )
