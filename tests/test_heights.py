@@ -328,7 +328,7 @@ def test_float32_aloft_is_near_float64():
 def test_solvers_say_which_observers_they_know_and_refuse_others_in_a_line():
     scene = replace(unit_scene(40.0, views([10.0], [0.0])), height=jnp.asarray(1e3))
     for name, solver in SOLVERS.items():
-        anywhere = name in ("orders flat", "single flat", "single spherical")
+        anywhere = name in ("orders flat", "single flat", "single spherical", "sphere spherical")
         assert solver.observers == Observers(np.inf if anywhere else 0.0), name
         if anywhere:
             assert np.all(np.isfinite(solver.radiance(haze_over_air(0.1, 0.1), scene)))

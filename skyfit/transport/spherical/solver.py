@@ -59,10 +59,10 @@ class Spherical(AbstractSolver):
     own; TMS: Nakajima & Tanaka 1988, JQSRT 40, 51.
     """
 
-    levels: int = eqx.field(static=True, default=24, metadata=within(4.0, np.inf))
+    levels: int = eqx.field(static=True, default=26, metadata=within(4.0, np.inf))
     moments: int = eqx.field(static=True, default=12, metadata=within(4.0, np.inf))
     up: int = eqx.field(static=True, default=10, metadata=within(2.0, np.inf))
-    flat: int = eqx.field(static=True, default=6, metadata=within(2.0, np.inf))
+    flat: int = eqx.field(static=True, default=8, metadata=within(2.0, np.inf))
     down: int = eqx.field(static=True, default=6, metadata=within(2.0, np.inf))
     orders: int = eqx.field(static=True, default=5, metadata=within(2.0, np.inf))
     sun_step: float = eqx.field(static=True, default=1.5, metadata=within(0.2, 5.0, "degrees"))
