@@ -20,7 +20,7 @@ from . import harmonics as sun_harmonics
 from .first import sun_on_ground
 from .grid import cubic_weights, dusk, height_coordinate, linear, NEAR_CLIMB, Resolution, sun_coordinate
 from .medium import completed, Medium, medium_of, per_metre
-from .transfer import FINER, Solution
+from .transfer import FINER_LEVELS, FINER_SUNS, Solution
 
 
 # parts of views, where they begin and end
@@ -172,9 +172,9 @@ def _multiple(
     mixed = jnp.einsum("kdnw,lkw->ldnw", jnp.stack(emitted), medium.moments[: sun_harmonics.TRAVELLING])
     place = sun_coordinate(zenith, resolution.sun_step) - field.sun_place[0]
     table = field.solution.fine
-    first, suns = linear(FINER * place, table.shape[1])
+    first, suns = linear(FINER_SUNS * place, table.shape[1])
     height = height_coordinate(points.height, resolution.levels)
-    level, rows = linear(FINER * height, table.shape[0])
+    level, rows = linear(FINER_LEVELS * height, table.shape[0])
     weight = jnp.stack([across * up for across in suns for up in rows]) * dusk(zenith)[None]
     factor = jnp.stack(basis, axis=-1) * share[None, None, :travelling]
     # for each harmonic that travels

@@ -19,15 +19,16 @@ from .medium import Medium, medium_of, ray_weights, RayWeights
 # the last order is followed by those that fall like it; no slower than this
 _SLOWEST = 0.95, 0.999
 _NO_LIGHT = 1e-15
-# what is read linearly between nodes this much closer than those of the cubics is within some 1e-4 of them
-FINER = 4
+# levels and suns of the table that views read linearly, for one of the cubics': within some 1e-4 of them, and its kinks
+# make no step of the light in a series of suns
+FINER_LEVELS, FINER_SUNS = 4, 12
 
 
 class Solution(NamedTuple):
     """The diffuse light of all orders per unit solar irradiance, over `dusk` of the sun.
 
-    `moments` of the radiance; `ground`, diffuse irradiance on level ground; `fine`, the moments that travel, `FINER`
-    times as many levels and suns: views read it linearly.
+    `moments` of the radiance; `ground`, diffuse irradiance on level ground; `fine`, the moments that travel,
+    `FINER_LEVELS` and `FINER_SUNS` times as many levels and suns: views read it linearly.
     """
 
     moments: Float[Array, "level sun harmonic wavelength"]
@@ -110,10 +111,10 @@ def solve(
 
 
 def _with_fine(moments, ground, names) -> Solution:
-    def finer(count: int):
-        return as_float(cubic_weights(np.arange(FINER * (count - 1) + 1) / FINER, count))
+    def finer(count: int, times: int):
+        return as_float(cubic_weights(np.arange(times * (count - 1) + 1) / times, count))
 
-    levels, suns = (finer(count) for count in moments.shape[:2])
+    levels, suns = finer(moments.shape[0], FINER_LEVELS), finer(moments.shape[1], FINER_SUNS)
     travelling = moments[:, :, : sun_harmonics.travelling(names)]
     return Solution(moments, ground, jnp.einsum("il,js,lshw->ijhw", levels, suns, travelling))
 
