@@ -346,7 +346,9 @@ def ground_to_space(record: dict) -> str:
                 continue
             refused = f", {part['refused']} of {part['lines']} refused" if part["refused"] else ""
             within = f"{100 * part['within tolerance + 3 sigma']:.3g} %"
-            cells.append(f"{float(f'{100 * part["median"]:.2g}'):g} % ({within}{refused})")
+            median = 100 * part["median"]
+            cells.append(f"{median:.2g}" if median < 99.5 else f"{median:.0f}")
+            cells[-1] += f" % ({within}{refused})"
         cost = row["cost"]
         prepare = next((f"{value:.2g} s" for key, value in cost.items() if key.startswith("prepare 1")), "-")
         size = f"{cost['field, bytes'] / 1e6:.2g} MB" if "field, bytes" in cost else "-"
