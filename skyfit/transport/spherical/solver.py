@@ -89,10 +89,12 @@ class Spherical(AbstractSolver):
 
     @classmethod
     def normal(cls, geometry: Geometry = "spherical") -> "Spherical":
+        """Of Monte Carlo: within 0.7 % under suns to 89 degrees, 1.5 % to 96, 4 % to 108 (median 0.06, 0.1, 0.4 %)."""
         return cls(geometry=geometry)
 
     @classmethod
     def fine(cls, geometry: Geometry = "spherical") -> "Spherical":
+        """More of everything, some ten times the work."""
         return cls(
             levels=32, moments=16, up=14, flat=10, down=8, orders=8, sun_step=1.0, path_nodes=14, first_nodes=20,
             view_nodes=24, nodes=32, geometry=geometry,
