@@ -81,7 +81,7 @@ class Spherical(AbstractSolver):
 
     @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "Spherical":
-        """Some per cent, an eighth of the work."""
+        """Coarse, for slopes; its errors were not measured."""
         return cls(
             levels=16, moments=6, up=8, flat=4, down=4, orders=4, sun_step=2.0, path_nodes=7, first_nodes=10,
             view_nodes=12, nodes=16, geometry=geometry,
@@ -94,7 +94,7 @@ class Spherical(AbstractSolver):
 
     @classmethod
     def fine(cls, geometry: Geometry = "spherical") -> "Spherical":
-        """More of everything, some ten times the work."""
+        """More of everything; its errors and times were not measured."""
         return cls(
             levels=32, moments=16, up=14, flat=10, down=8, orders=8, sun_step=1.0, path_nodes=14, first_nodes=20,
             view_nodes=24, nodes=32, geometry=geometry,
