@@ -18,7 +18,7 @@ from ..single import single_scattering_of
 from ..views import end_points, eye_columns, Points, points_at, Views, views_of
 from . import harmonics as sun_harmonics
 from .first import sun_on_ground
-from .grid import cubic_weights, dusk, height_coordinate, linear, NEAR_CLIMB, Resolution, sun_coordinate
+from .grid import cubic_weights, dusk, height_coordinate, linear, NEAR_CLIMB, Resolution, sun_coordinate, sun_weights
 from .medium import completed, Medium, medium_of, per_metre
 from .transfer import FINER_LEVELS, FINER_SUNS, Solution
 
@@ -149,9 +149,7 @@ class SphericalField(eqx.Module):
         return Irradiances(direct * light, diffuse * light, medium.albedo * (direct + diffuse) * light, up * light)
 
     def _suns(self, zenith):
-        """Weights of the field's suns, times `dusk`."""
-        place = sun_coordinate(zenith, self.resolution.sun_step) - self.sun_place[0]
-        return cubic_weights(place, self.sun_place.shape[0]) * dusk(zenith)[..., None]
+        return sun_weights(zenith, self.sun_place, self.resolution.sun_step)
 
 
 def _multiple(

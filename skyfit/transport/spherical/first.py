@@ -11,7 +11,7 @@ from ...scene import haversine
 from ..columns import EARTH_RADIUS, slant_columns
 from ..single import lit_integrals
 from ..views import Views
-from .grid import Rays
+from .grid import half_turn, Rays
 from .medium import Medium
 
 
@@ -45,7 +45,7 @@ def first_order(
     """
     count, grounded = medium.moments.shape[0], rays.grounded
     shape = (*rays.zenith_cosine.shape, FEW_AZIMUTHS)
-    few = np.pi * (np.arange(FEW_AZIMUTHS) + 0.5) / FEW_AZIMUTHS
+    few = half_turn(FEW_AZIMUTHS)
     cosine, height, length, turn = (
         as_float(np.broadcast_to(v, shape).ravel())
         for v in (rays.zenith_cosine[..., None], rays.level[:, None, None], rays.length[..., None], few)
@@ -75,7 +75,7 @@ def first_order(
 
 def spread_azimuths(azimuth: np.ndarray) -> np.ndarray:
     """Weights from few azimuths to these, of half a turn, `[azimuth, few]`: a series of cosines."""
-    few = np.pi * (np.arange(FEW_AZIMUTHS) + 0.5) / FEW_AZIMUTHS
+    few = half_turn(FEW_AZIMUTHS)
     mode = np.arange(FEW_AZIMUTHS)[:, None]
     series = np.cos(mode * few) * np.where(mode > 0, 2.0, 1.0) / FEW_AZIMUTHS
     return np.cos(mode * azimuth).T @ series

@@ -115,6 +115,17 @@ def cubic_weights(place: Any, count: int) -> Any:
     return row
 
 
+def sun_weights(zenith: Float[Array, "..."], sun_place: Float[Array, " sun"], step: float) -> Float[Array, "... sun"]:
+    """Weights of the suns of a table for zenith angles (rad), times `dusk` there."""
+    place = sun_coordinate(zenith, step) - sun_place[0]
+    return cubic_weights(place, sun_place.shape[0]) * dusk(zenith)[..., None]
+
+
+def half_turn(count: int) -> np.ndarray:
+    """The middles of equal parts of half a turn, rad."""
+    return np.pi * (np.arange(count) + 0.5) / count
+
+
 def linear(place: Float[Array, "..."], count: int):
     """The first of two even nodes around a place and their weights; the end's value beyond the ends."""
     inside = jnp.clip(place, 0.0, count - 1.0)

@@ -12,7 +12,7 @@ from ...numerics import as_float, safe_sqrt
 from ..columns import EARTH_RADIUS
 from . import harmonics as sun_harmonics
 from .first import FEW_AZIMUTHS, first_order, spread_azimuths
-from .grid import cubic_weights, dusk, Rays, rays_of, Resolution, sun_at, sun_coordinate
+from .grid import cubic_weights, dusk, half_turn, Rays, rays_of, Resolution, sun_at, sun_weights
 from .medium import Medium, medium_of, ray_weights, RayWeights
 
 
@@ -73,7 +73,7 @@ def solve(
         shape = resolution.levels, *sun_place.shape, len(names), *wavelength_nm.shape
         return _with_fine(jnp.zeros(shape), jnp.zeros((*sun_place.shape, *wavelength_nm.shape)), names)
     azimuths = resolution.moments + 1 if medium.peaks else FEW_AZIMUTHS
-    azimuth = np.pi * (np.arange(azimuths) + 0.5) / azimuths
+    azimuth = half_turn(azimuths)
     weights = ray_weights(atmosphere, medium, rays)
     sun = sun_at(sun_place, resolution.sun_step)
     carrier = _carrier(rays, names, azimuth, sun_place, sun, resolution, weights)
@@ -88,12 +88,9 @@ def solve(
         down = as_float(np.maximum(rays.zenith_cosine[0], 0.0))
         return Order(found, jnp.einsum("z,szaw->sw", down, weighted[:, 0]))
 
-    def following(order: Order) -> Order:
-        return moments(_carried(order, carrier, medium, rays, names, dusk(sun), azimuth))
-
     def step(carry, _):
         last, total = carry
-        now = following(last)
+        now = moments(_carried(last, carrier, medium, rays, names, dusk(sun), azimuth))
         return (now, jax.tree.map(jnp.add, total, now)), (_mean(last), _mean(now))
 
     start = moments(first)
@@ -124,14 +121,13 @@ def _mean(order: Order):
 
 
 def _carrier(rays: Rays, names, azimuth, sun_place, sun, resolution: Resolution, weights) -> Carrier:
-    count = sun.shape[0]
     cosine = as_float(rays.zenith_cosine)
     radius = as_float(EARTH_RADIUS + rays.level)[:, None, None, None]
     # `[level, zenith, azimuth, sun]`
     turn, under = as_float(azimuth)[None, None, :, None], sun[None, None, None]
     every = sun_harmonics.along_sun(cosine[:, :, None, None], turn, under)
     views = jnp.moveaxis(sun_harmonics.of_views(names, *every), -1, 0)
-    few = as_float(np.pi * (np.arange(FEW_AZIMUTHS) + 0.5) / FEW_AZIMUTHS)[None, None, :, None]
+    few = as_float(half_turn(FEW_AZIMUTHS))[None, None, :, None]
     along, out, aside = sun_harmonics.along_sun(cosine[:, :, None, None], few, under)
 
     def there(distance, pick):
@@ -142,8 +138,8 @@ def _carrier(rays: Rays, names, azimuth, sun_place, sun, resolution: Resolution,
 
     def suns_at(place):
         zenith = jnp.arctan2(safe_sqrt(place[1] ** 2 + place[2] ** 2), place[0])
-        row = cubic_weights(sun_coordinate(zenith, resolution.sun_step) - sun_place[0], count)
-        return (row * dusk(zenith)[..., None]).reshape(*zenith.shape[:2], -1, count)
+        row = sun_weights(zenith, sun_place, resolution.sun_step)
+        return row.reshape(*zenith.shape[:2], -1, sun.shape[0])
 
     place = there(rays.distance, rays.ray)
     view = (v[:, rays.ray] for v in (along, out, aside))
@@ -163,7 +159,6 @@ def _carried(order: Order, carrier: Carrier, medium: Medium, rays: Rays, names, 
     of_ray = as_float(np.arange(zeniths)[:, None] == rays.ray[None])
     moments = order.moments[:, :, :travelling] * share[None, None, :travelling, None]
     grounded = zeniths - rays.grounded
-
     low = medium.moments[: sun_harmonics.TRAVELLING]
 
     def at_level(level):
