@@ -73,3 +73,14 @@ def tridiagonal_inverse(
 ) -> Float[Array, "level level"]:
     """The inverse of a matrix of three diagonals, one of a batch after the other, see `triangle`."""
     return jax.lax.linalg.tridiagonal_solve(lower, diagonal, upper, jnp.eye(diagonal.shape[0], dtype=diagonal.dtype))
+
+
+def inverse(matrix: Float[Array, "... row column"]) -> Float[Array, "... row column"]:
+    """The inverse of positive definite matrices of a few rows by Gauss-Jordan elimination, without LAPACK."""
+    size = matrix.shape[-1]
+    whole = jnp.concatenate([matrix, jnp.broadcast_to(jnp.eye(size, dtype=matrix.dtype), matrix.shape)], axis=-1)
+    for k in range(size):
+        pivot = whole[..., k, :] / whole[..., k, k, None]
+        factor = whole[..., :, k].at[..., k].add(-1.0)
+        whole = whole - factor[..., None] * pivot[..., None, :]
+    return whole[..., size:]

@@ -1,0 +1,263 @@
+"""The kinds of error that a measurement has, how large each is, and residuals freed of what they share.
+
+A sample's error is its own, or common to all wavelengths of its direction: of their level, of their colour, or of where
+the instrument looked. Errors in common are marginalised, not fitted: the cost is linear in the samples.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..measured.noise import Loss
+from ..numerics.factor import inverse, solve_upper, triangle
+from .forward import Problem
+from .loss import robust
+
+
+# and the kind of each column of `Errors.common`: colour is a slope and a bend, pointing has two axes
+KINDS = ("level", "colour", "pointing")
+_KIND_OF = np.array([0, 1, 1, 2, 2])
+COMMON = _KIND_OF.size
+# where the search for the sizes begins, in the order of `KINDS`: large, for from below it is slow
+_LARGE = (0.1, 0.1, 0.03)
+# passes of the estimate, and steps of expectation and maximisation in each
+_PASSES, _STEPS = 4, 30
+# normal deviates: the median size is 1 / 1.4826 standard deviations
+_MEDIAN_SIZE = 1.4826
+# share of a column's length that counts as none, in the elimination of parameters without influence
+_GUARD = 1e-6
+
+
+class Components(NamedTuple):
+    """Standard deviations of the kinds of error of one time.
+
+    `sample`: of what each sample has of its own, over the stated one; `common`, in the order of `KINDS`: relative level
+    of a direction, its colour (a slope and a bend in the logarithm of wavelength, 1 at the ends), pointing in radians.
+    """
+
+    sample: Float[Array, ""]
+    common: Float[Array, " kind"]
+
+
+class Expected(NamedTuple):
+    """What is taken for the components before the residuals are seen.
+
+    `common` in the order of `KINDS`, with the number of directions that each counts for: infinite where it is given;
+    `least` of the samples' own over what is stated.
+    """
+
+    common: Float[Array, " kind"]
+    strength: Float[Array, " kind"]
+    least: Float[Array, ""]
+
+
+class Errors(NamedTuple):
+    """What errors of size 1 do to the samples of one time.
+
+    `weight`, one over the stated sigma of what each has of its own, 0 where masked; `common` to a direction; `turned`,
+    the squared slope by the angle of the view, where each sample has a view, and so a pointing error, of its own.
+    """
+
+    weight: Float[Array, "direction channel"]
+    common: Float[Array, "direction channel effect"]
+    turned: Float[Array, "direction channel"] | None
+
+
+class Whitening(NamedTuple):
+    """What makes the errors of each direction independent and of size 1.
+
+    `weight`, one over the samples' own sigma, 0 where masked; `across`, `share`: factors 1 - share across across^T, one
+    a column of `Errors.common`; `frame`, orthonormal, spans what they touch.
+    """
+
+    weight: Float[Array, "direction channel"]
+    across: Float[Array, "effect direction channel"]
+    share: Float[Array, "effect direction"]
+    frame: Float[Array, "effect direction channel"]
+
+
+def errors_of(
+    one: Problem, radiance: Float[Array, "direction channel"], turn: Float[Array, "direction channel axis"]
+) -> Errors:
+    """The errors of one time whose `radiance` the model knows, and its slopes by the instrument's two offsets."""
+    place = jnp.log(one.wavelength_nm)
+    if one.response is not None:
+        size = jnp.abs(one.response)
+        place = size @ place / jnp.sum(size, axis=1)
+    low, high = jnp.min(place), jnp.max(place)
+    along = jnp.where(high > low, (2.0 * place - low - high) / jnp.where(high > low, high - low, 1.0), 0.0)
+    shapes = jnp.stack([jnp.ones_like(along), along, 1.5 * along**2 - 0.5], axis=-1)
+    # an azimuth turns a view near the zenith by less
+    moves = one.view_zenith.ndim == 2
+    sine = jnp.abs(jnp.sin(one.view_zenith if moves else one.view_zenith[:, None]))
+    slopes = jnp.stack([turn[..., 0], turn[..., 1] / jnp.maximum(sine, 1e-3)], axis=-1)
+    turned = jnp.sum(slopes**2, axis=-1) if moves else None
+    slopes = jnp.zeros_like(slopes) if moves else slopes
+    return Errors(one.weight, jnp.concatenate([radiance[..., None] * shapes[None], slopes], axis=-1), turned)
+
+
+def independent(weight: Float[Array, "direction channel"]) -> Whitening:
+    """The whitening of samples that share nothing, `weight` one over their sigma."""
+    nothing = jnp.zeros((COMMON, *weight.shape), weight.dtype)
+    return Whitening(weight, nothing, nothing[:, :, 0], nothing)
+
+
+def whitening(errors: Errors, found: Components) -> Whitening:
+    """The whitening that errors of these sizes ask for."""
+    weight = _own_weight(errors, found)
+    scaled = _scaled(errors, found) * weight[..., None]
+    across, shares, frame = [], [], []
+    for k in range(COMMON):
+        column = scaled[..., k]
+        for vector, share in zip(across, shares, strict=True):
+            column = column - share[:, None] * vector * jnp.sum(vector * column, axis=1, keepdims=True)
+        square = jnp.sum(column**2, axis=1)
+        safe = jnp.where(square > 1e-6, square, 1.0)
+        # (1 + a a^T)^(-1/2) = 1 - share a a^T; 1/2 for small ones
+        shares.append(jnp.where(square > 1e-6, (1.0 - 1.0 / jnp.sqrt(1.0 + safe)) / safe, 0.5))
+        across.append(column)
+        unit = column / jnp.sqrt(jnp.where(square > 0.0, square, 1.0))[:, None]
+        for other in frame:
+            unit = unit - other * jnp.sum(other * unit, axis=1, keepdims=True)
+        length = jnp.sqrt(jnp.sum(unit**2, axis=1, keepdims=True))
+        # what the columns before it span has no axis of its own
+        frame.append(jnp.where(length > 1e-3, unit / jnp.where(length > 1e-3, length, 1.0), 0.0))
+    return Whitening(weight, jnp.stack(across), jnp.stack(shares), jnp.stack(frame))
+
+
+def _scaled(errors: Errors, found: Components):
+    return errors.common * found.common[_KIND_OF][None, None]
+
+
+def _own_weight(errors: Errors, found: Components):
+    """One over the sigma of what each sample has of its own."""
+    weight = errors.weight / found.sample
+    if errors.turned is None:
+        return weight
+    return weight / jnp.sqrt(1.0 + errors.turned * (found.common[-1] * weight) ** 2)
+
+
+def whiten(white: Whitening, samples: Float[Array, "direction channel column"]) -> Float[Array, "direction row column"]:
+    """Samples as independent rows of size 1: what each direction has in common first, then the rest of each sample."""
+    values = samples * white.weight[..., None]
+    for vector, share in zip(white.across, white.share, strict=True):
+        values = _mirrored(values, vector, share)
+    common = jnp.einsum("edc,dcx->dex", white.frame, values)
+    return jnp.concatenate([common, values - jnp.einsum("edc,dex->dcx", white.frame, common)], axis=1)
+
+
+def unwhiten(white: Whitening, rows: Float[Array, "direction row column"]) -> Float[Array, "direction channel column"]:
+    """The transpose of `whiten`, by which slopes by rows become slopes by samples."""
+    common, rest = rows[:, :COMMON], rows[:, COMMON:]
+    common = common - jnp.einsum("edc,dcx->dex", white.frame, rest)
+    values = rest + jnp.einsum("edc,dex->dcx", white.frame, common)
+    for vector, share in zip(white.across[::-1], white.share[::-1], strict=True):
+        values = _mirrored(values, vector, share)
+    return values * white.weight[..., None]
+
+
+def _mirrored(values, vector, share):
+    along = jnp.sum(vector[..., None] * values, axis=1, keepdims=True)
+    return values - share[:, None, None] * vector[..., None] * along
+
+
+def joined(white: Whitening, rows: Float[Array, "direction row"]) -> Float[Array, "direction channel"]:
+    """Whitened samples, from the rows that `whiten` parts them into."""
+    return rows[:, COMMON:] + jnp.einsum("edc,de->dc", white.frame, rows[:, :COMMON])
+
+
+def trust_of(weight: Float[Array, "direction row"]) -> Float[Array, "direction channel"]:
+    """The trust of the loss in each sample, from that in the rows of its direction."""
+    return jnp.min(weight[:, :COMMON], axis=1, keepdims=True) * weight[:, COMMON:]
+
+
+def estimate(
+    errors: Errors,
+    residual: Float[Array, "direction channel"],
+    columns: Float[Array, "direction channel column"],
+    prior: Float[Array, " column"],
+    expected: Expected,
+    loss: Loss,
+    threshold: Float[Array, ""],
+) -> Components:
+    r"""The sizes that the residuals of one time show, by restricted maximum likelihood.
+
+    Errors in common are unknowns with a normal distribution, and the parameters such without one; the variances by
+    expectation and maximisation over the posterior of both. Rows that the loss trusts less count less.
+
+    **Arguments:** `residual`, model minus measurement; `columns`, its slopes by all that is fitted, `prior`, one over
+    the sigma of each column's unknown.
+    **Source:** Patterson & Thompson 1971, Biometrika 58, 545; Dempster, Laird & Rubin 1977, J. R. Stat. Soc. B 39, 1.
+    """
+    size = jnp.where(errors.weight > 0.0, jnp.abs(residual * errors.weight), jnp.nan)
+    middle = _MEDIAN_SIZE * jnp.nanmedian(size)
+    middle = jnp.maximum(jnp.where(jnp.isfinite(middle), middle, 1.0), expected.least)
+    large = jnp.where(jnp.isinf(expected.strength), expected.common, jnp.asarray(_LARGE, middle.dtype))
+    calm = _calm(loss, threshold)
+    samples = jnp.concatenate([columns, residual[..., None]], axis=-1)
+
+    def one_pass(_, found: Components) -> Components:
+        rows = whiten(whitening(errors, found), samples)
+        weight = robust(rows[..., -1], loss, threshold).weight
+        spread, step = _profiled((jnp.sqrt(weight)[..., None] * rows).reshape(-1, rows.shape[-1]), prior)
+        left = jnp.concatenate([(residual + columns @ step)[..., None], columns @ spread], axis=-1)
+        trusted = trust_of(weight) * (errors.weight > 0.0)
+        return jax.lax.fori_loop(0, _STEPS, lambda _, v: _refined(errors, v, left, trusted, calm, expected), found)
+
+    return jax.lax.fori_loop(0, _PASSES, one_pass, Components(middle, large))
+
+
+def _calm(loss: Loss, threshold):
+    """What the squares of normal deviates come to where the loss trusts some less, over the mean trust."""
+    deviate = jnp.linspace(-8.0, 8.0, 129, dtype=threshold.dtype)
+    density, weight = jnp.exp(-0.5 * deviate**2), robust(deviate, loss, threshold).weight
+    return jnp.sum(density * (weight * deviate) ** 2) / jnp.sum(density * weight)
+
+
+def _profiled(rows, prior):
+    """A root of the covariance of what is fitted, and the step to its best values, from whitened rows with residual."""
+    count = rows.shape[1] - 1
+    guard = _GUARD * jnp.sqrt(jnp.sum(rows[:, :count] ** 2, axis=0))
+    tied = jnp.diag(jnp.where(guard > 0.0, jnp.hypot(guard, prior), 1.0))
+    tied = jnp.concatenate([tied, jnp.zeros((count, 1), rows.dtype)], axis=1)
+    whole = triangle(jnp.concatenate([rows, tied]))[:count]
+    right = jnp.concatenate([jnp.eye(count, dtype=rows.dtype), whole[:, count:]], axis=1)
+    solved = solve_upper(whole[:, :count], right)
+    return solved[:, :count], -solved[:, count]
+
+
+def _refined(errors: Errors, found: Components, left, trusted, calm, expected: Expected) -> Components:
+    """A step of expectation and maximisation; `left`, the residuals and their slopes by unit deviates of the fitted."""
+    weight, scaled = _own_weight(errors, found), _scaled(errors, found)
+    design = scaled * weight[..., None]
+    unit = jnp.eye(COMMON, dtype=design.dtype)
+    spread = inverse(unit[None] + jnp.einsum("dce,dcf->def", design, design))
+    common = jnp.einsum("def,dcf,dcx->dex", spread, design * weight[..., None], left)
+    rest = left - jnp.einsum("dce,dex->dcx", scaled, common)
+    # mean squares of the posterior: of the errors in common, in their standard deviations, and of the samples' own
+    square = jnp.sum(common**2, axis=2) + jnp.einsum("dee->de", spread)
+    own = jnp.sum(rest**2, axis=2) + jnp.einsum("dce,def,dcf->dc", scaled, spread, scaled)
+
+    direction = jnp.max(trusted, axis=1)
+    count, samples = jnp.sum(direction), jnp.maximum(jnp.sum(trusted), 1.0)
+    by_effect = direction**2 @ square / (calm * jnp.maximum(count, 1.0))
+    mean = jnp.stack([jnp.mean(by_effect[_KIND_OF == k]) for k in range(len(KINDS))]) * found.common**2
+    if errors.turned is not None:
+        # two independent parts of each sample's own error
+        size = 1.0 / jnp.where(weight > 0.0, weight, 1.0) ** 2
+        share = errors.turned * (found.common[-1] * weight) ** 2
+        both = share * (1.0 - share) * size
+        turned = (share**2 * own + both) / jnp.where(errors.turned > 0.0, errors.turned, 1.0)
+        held = trusted * (errors.turned > 0.0)
+        mean = mean.at[-1].set(jnp.sum(held * trusted * turned) / (calm * jnp.maximum(jnp.sum(held), 1.0)))
+        own = (1.0 - share) ** 2 * own + both
+    given = jnp.isinf(expected.strength)
+    strength = jnp.where(given, 1.0, expected.strength)
+    variance = (strength * expected.common**2 + count * mean) / (strength + count)
+    ratio = jnp.sum((trusted * errors.weight) ** 2 * own) / (calm * samples)
+    return Components(
+        jnp.maximum(jnp.sqrt(ratio), expected.least), jnp.where(given, expected.common, jnp.sqrt(variance))
+    )

@@ -1,0 +1,143 @@
+"""The kinds of error: whitening against dense covariances, and the sizes that many simulated residuals show."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+
+import skyfit
+from skyfit.retrieve import components
+from skyfit.retrieve.components import Components, Expected
+from skyfit.retrieve.forward import Problem
+
+
+DIRECTIONS, CHANNELS = 60, 12
+NM = np.linspace(400.0, 900.0, CHANNELS)
+
+
+def free(strength=1.0):
+    return Expected(jnp.array([1e-3, 1e-3, 1e-4]), jnp.full(3, strength), jnp.array(0.1))
+
+
+def errors(moves=False, seed=0):
+    """Of a sky whose slopes are larger in some directions, as near a sun."""
+    view, random = skyfit.hemisphere(DIRECTIONS), np.random.default_rng(seed)
+    shape = DIRECTIONS, CHANNELS
+    light = np.exp(0.3 * random.standard_normal(shape))
+    weight = np.where(random.uniform(size=shape) > 0.1, 1.0 / (0.01 * light), 0.0)
+    steep = 3.0 * random.standard_normal((DIRECTIONS, 1, 2)) * np.linspace(0.3, 1.7, CHANNELS)[:, None]
+    views = (jnp.broadcast_to(v[:, None], shape) if moves else v for v in (view.zenith, view.azimuth))
+    given = jnp.array(0.9), jnp.array(0.0), *views, jnp.ones(CHANNELS), NM, light, weight
+    one = Problem(*(jnp.asarray(part)[None] for part in given)).at(0)
+    return components.errors_of(one, one.measured, jnp.asarray(light[..., None] * steep))
+
+
+def sizes(sample, *common):
+    return Components(jnp.array(sample), jnp.array(common))
+
+
+def dense(errors, found):
+    """The covariances of the samples of each direction."""
+    weight = np.asarray(errors.weight)
+    own = (float(found.sample) / np.where(weight > 0.0, weight, 1.0)) ** 2
+    if errors.turned is not None:
+        own = own + np.asarray(errors.turned) * float(found.common[-1]) ** 2
+    common = np.asarray(errors.common) * np.repeat(np.asarray(found.common), [1, 2, 2])
+    return np.einsum("dce,dfe->dcf", common, common) + np.eye(CHANNELS) * own[..., None]
+
+
+def drawn(errors, found, seed):
+    factor = np.linalg.cholesky(dense(errors, found))
+    return np.einsum("dcf,df->dc", factor, np.random.default_rng(seed).standard_normal(factor.shape[:2]))
+
+
+def some_columns(seed, count=6):
+    return np.random.default_rng(seed).standard_normal((DIRECTIONS, 1, count)) * np.ones((CHANNELS, 1))
+
+
+@jax.jit
+def by_squares(errors, residual, columns, expected):
+    prior = jnp.zeros(columns.shape[-1])
+    return components.estimate(errors, residual, columns, prior, expected, "squares", jnp.array(3.0))
+
+
+@jax.jit
+def by_huber(errors, residual, columns, expected):
+    prior = jnp.zeros(columns.shape[-1])
+    return components.estimate(errors, residual, columns, prior, expected, "huber", jnp.array(3.0))
+
+
+@pytest.mark.parametrize("found", [(1.0, 0.02, 0.01, 0.01), (1.7, 0.05, 0.0, 0.002)])
+@pytest.mark.parametrize("moves", [False, True])
+def test_whitened_rows_have_the_squares_of_the_dense_covariance(x64, moves, found):
+    wrong = errors(moves)
+    white = components.whitening(wrong, sizes(found[0], *found[1:]))
+    samples = np.random.default_rng(2).standard_normal((DIRECTIONS, CHANNELS, 3))
+    rows = np.asarray(components.whiten(white, jnp.asarray(samples)))
+    whole = dense(wrong, sizes(found[0], *found[1:]))
+    for d in range(DIRECTIONS):
+        held = np.asarray(wrong.weight[d]) > 0.0
+        part = samples[d, held]
+        expected = part.T @ np.linalg.solve(whole[d][np.ix_(held, held)], part)
+        np.testing.assert_allclose(rows[d].T @ rows[d], expected, rtol=1e-9)
+        joined = np.asarray(components.joined(white, jnp.asarray(rows[..., 0])))[d]
+        np.testing.assert_allclose(joined @ joined, expected[0, 0], rtol=1e-9)
+    other = np.random.default_rng(3).standard_normal(rows.shape)
+    back = np.asarray(components.unwhiten(white, jnp.asarray(other)))
+    np.testing.assert_allclose(np.einsum("drx,dry->xy", other, rows), np.einsum("dcx,dcy->xy", back, samples))
+
+
+def restricted_likelihood(errors, residual, columns, found):
+    """Minus twice its logarithm, by dense algebra (Patterson & Thompson 1971)."""
+    whole, total, normal, right = dense(errors, found), 0.0, 0.0, 0.0
+    for d in range(DIRECTIONS):
+        held = np.asarray(errors.weight[d]) > 0.0
+        inverse = np.linalg.inv(whole[d][np.ix_(held, held)])
+        r, x = residual[d, held], columns[d, held]
+        total += r @ inverse @ r - np.linalg.slogdet(inverse)[1]
+        normal, right = normal + x.T @ inverse @ x, right + x.T @ inverse @ r
+    return total + np.linalg.slogdet(normal)[1] - right @ np.linalg.solve(normal, right)
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_the_sizes_are_those_of_the_largest_restricted_likelihood(x64, moves):
+    wrong, truth = errors(moves), (1.3, 0.02, 0.01, 0.008)
+    residual, columns = drawn(wrong, sizes(truth[0], *truth[1:]), 4), some_columns(5)
+    found = by_squares(wrong, jnp.asarray(residual), jnp.asarray(columns), free(1e-9))
+
+    def cost(logs):
+        return restricted_likelihood(wrong, residual, columns, sizes(*np.exp(logs)))
+
+    start = np.log(truth)
+    best = np.exp(scipy.optimize.minimize(cost, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-3}).x)
+    np.testing.assert_allclose([found.sample, *found.common], best, rtol=0.02)
+
+
+@pytest.mark.parametrize("estimate", [by_squares, by_huber])
+@pytest.mark.parametrize("moves", [False, True])
+def test_the_sizes_of_many_residuals_are_right_on_the_mean(x64, moves, estimate):
+    wrong, truth = errors(moves), sizes(1.2, 0.02, 0.01, 0.005)
+    columns = jnp.asarray(some_columns(7))
+    found = [estimate(wrong, jnp.asarray(drawn(wrong, truth, 10 + k)), columns, free()) for k in range(40)]
+    squares = np.mean([np.square([one.sample, *one.common]) for one in found], axis=0)
+    np.testing.assert_allclose(np.sqrt(squares), [1.2, 0.02, 0.01, 0.005], rtol=0.06)
+
+
+def test_an_outlying_direction_does_not_make_the_others_uncertain(x64):
+    wrong = errors()
+    residual = drawn(wrong, sizes(1.0, 0.01, 1e-4, 1e-4), 8)
+    residual[5] += 0.8 * np.asarray(wrong.common[5, :, 0])
+    columns = jnp.asarray(some_columns(9, 1))
+    robust = by_huber(wrong, jnp.asarray(residual), columns, free())
+    plain = by_squares(wrong, jnp.asarray(residual), columns, free())
+    assert 0.007 < robust.common[0] < 0.014 and plain.common[0] > 0.05
+
+
+def test_what_is_given_stays(x64):
+    wrong = errors()
+    residual = jnp.asarray(drawn(wrong, sizes(0.5, 0.02, 0.01, 0.005), 9))
+    given = Expected(jnp.array([0.03, 0.0, 0.002]), jnp.full(3, jnp.inf), jnp.array(1.0))
+    found = by_huber(wrong, residual, jnp.asarray(some_columns(9, 1)), given)
+    np.testing.assert_array_equal(found.common, given.common)
+    assert found.sample == 1.0
