@@ -101,11 +101,16 @@ def gradients(solver, repeats: int) -> dict:
 
 
 def rival(solver, repeats: int) -> dict:
-    """One sky of 343 directions at 8 wavelengths, the sun at 88 degrees: same atmosphere, cut at the same height."""
+    """One sky of 343 directions at 8 wavelengths, the sun at 88 degrees: same atmosphere, cut at the same height.
+
+    What sasktran2 prepares, its rays for one sun and all views, stands apart from its solution and is timed once.
+    """
     zenith, azimuth = np.linspace(0.0, 88.0, 49), np.linspace(0.0, 180.0, 7)
     atmosphere = skyfit.Atmosphere.from_optical_depth(0.1).replace(ozone=None)
     optics = rival_optics(atmosphere, NM)
+    start = time.perf_counter()
     theirs = prepare_sasktran2_orders(optics, View(zenith, azimuth, 88.0), suns=15)
+    geometry = time.perf_counter() - start
     views = skyfit.Directions.from_degrees(zenith[:, None], azimuth[None])
     scene = skyfit.Scene.from_degrees(88.0, views, NM, irradiance="unit")
     ours = np.asarray(solver.radiance(atmosphere, scene))
@@ -114,10 +119,14 @@ def rival(solver, repeats: int) -> dict:
         {"Spherical, prepare and look up": lambda: solver.radiance(atmosphere, scene), "sasktran2, 15 suns": theirs},
         repeats,
     )
-    ratio = timed["sasktran2, 15 suns"]["seconds"] / timed["Spherical, prepare and look up"]["seconds"]
+    ours, theirs = (row["seconds"] for row in timed.values())
     return timed | {
-        "times_faster": ratio, "median_difference": float(np.median(apart)), "largest_difference": float(apart.max())
-    }  # fmt: skip
+        "sasktran2, rays of one sun, seconds": geometry,
+        "times_faster": (geometry + theirs) / ours,
+        "times_faster_without_their_rays": theirs / ours,
+        "median_difference": float(np.median(apart)),
+        "largest_difference": float(apart.max()),
+    }
 
 
 def main():
