@@ -1,5 +1,7 @@
 """The kinds of error: whitening against dense covariances, and the sizes that many simulated residuals show."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -56,16 +58,10 @@ def some_columns(seed, count=6):
     return np.random.default_rng(seed).standard_normal((DIRECTIONS, 1, count)) * np.ones((CHANNELS, 1))
 
 
-@jax.jit
-def by_squares(errors, residual, columns, expected):
+@functools.partial(jax.jit, static_argnames="loss")
+def estimate(errors, residual, columns, expected, loss):
     prior = jnp.zeros(columns.shape[-1])
-    return components.estimate(errors, residual, columns, prior, expected, "squares", jnp.array(3.0))
-
-
-@jax.jit
-def by_huber(errors, residual, columns, expected):
-    prior = jnp.zeros(columns.shape[-1])
-    return components.estimate(errors, residual, columns, prior, expected, "huber", jnp.array(3.0))
+    return components.estimate(errors, residual, columns, prior, expected, loss, jnp.array(3.0))
 
 
 @pytest.mark.parametrize("found", [(1.0, 0.02, 0.01, 0.01), (1.7, 0.05, 0.0, 0.002)])
@@ -104,7 +100,7 @@ def restricted_likelihood(errors, residual, columns, found):
 def test_the_sizes_are_those_of_the_largest_restricted_likelihood(x64, moves):
     wrong, truth = errors(moves), (1.3, 0.02, 0.01, 0.008)
     residual, columns = drawn(wrong, sizes(truth[0], *truth[1:]), 4), some_columns(5)
-    found = by_squares(wrong, jnp.asarray(residual), jnp.asarray(columns), free(1e-9))
+    found = estimate(wrong, jnp.asarray(residual), jnp.asarray(columns), free(1e-9), "squares")
 
     def cost(logs):
         return restricted_likelihood(wrong, residual, columns, sizes(*np.exp(logs)))
@@ -114,12 +110,12 @@ def test_the_sizes_are_those_of_the_largest_restricted_likelihood(x64, moves):
     np.testing.assert_allclose([found.sample, *found.common], best, rtol=0.02)
 
 
-@pytest.mark.parametrize("estimate", [by_squares, by_huber])
+@pytest.mark.parametrize("loss", ["squares", "huber"])
 @pytest.mark.parametrize("moves", [False, True])
-def test_the_sizes_of_many_residuals_are_right_on_the_mean(x64, moves, estimate):
+def test_the_sizes_of_many_residuals_are_right_on_the_mean(x64, moves, loss):
     wrong, truth = errors(moves), sizes(1.2, 0.02, 0.01, 0.005)
     columns = jnp.asarray(some_columns(7))
-    found = [estimate(wrong, jnp.asarray(drawn(wrong, truth, 10 + k)), columns, free()) for k in range(40)]
+    found = [estimate(wrong, jnp.asarray(drawn(wrong, truth, 10 + k)), columns, free(), loss) for k in range(40)]
     squares = np.mean([np.square([one.sample, *one.common]) for one in found], axis=0)
     np.testing.assert_allclose(np.sqrt(squares), [1.2, 0.02, 0.01, 0.005], rtol=0.06)
 
@@ -129,8 +125,8 @@ def test_an_outlying_direction_does_not_make_the_others_uncertain(x64):
     residual = drawn(wrong, sizes(1.0, 0.01, 1e-4, 1e-4), 8)
     residual[5] += 0.8 * np.asarray(wrong.common[5, :, 0])
     columns = jnp.asarray(some_columns(9, 1))
-    robust = by_huber(wrong, jnp.asarray(residual), columns, free())
-    plain = by_squares(wrong, jnp.asarray(residual), columns, free())
+    robust = estimate(wrong, jnp.asarray(residual), columns, free(), "huber")
+    plain = estimate(wrong, jnp.asarray(residual), columns, free(), "squares")
     assert 0.007 < robust.common[0] < 0.014 and plain.common[0] > 0.05
 
 
@@ -138,6 +134,6 @@ def test_what_is_given_stays(x64):
     wrong = errors()
     residual = jnp.asarray(drawn(wrong, sizes(0.5, 0.02, 0.01, 0.005), 9))
     given = Expected(jnp.array([0.03, 0.0, 0.002]), jnp.full(3, jnp.inf), jnp.array(1.0))
-    found = by_huber(wrong, residual, jnp.asarray(some_columns(9, 1)), given)
+    found = estimate(wrong, residual, jnp.asarray(some_columns(9, 1)), given, "huber")
     np.testing.assert_array_equal(found.common, given.common)
     assert found.sample == 1.0

@@ -119,11 +119,11 @@ def rival(solver, repeats: int) -> dict:
         {"Spherical, prepare and look up": lambda: solver.radiance(atmosphere, scene), "sasktran2, 15 suns": theirs},
         repeats,
     )
-    ours, theirs = (row["seconds"] for row in timed.values())
+    seconds, their_seconds = (row["seconds"] for row in timed.values())
     return timed | {
         "sasktran2, rays of one sun, seconds": geometry,
-        "times_faster": (geometry + theirs) / ours,
-        "times_faster_without_their_rays": theirs / ours,
+        "times_faster": (geometry + their_seconds) / seconds,
+        "times_faster_without_their_rays": their_seconds / seconds,
         "median_difference": float(np.median(apart)),
         "largest_difference": float(apart.max()),
     }

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from ..measured.noise import Loss
 from ..numerics.factor import inverse, solve_upper, triangle
 from .forward import Problem
-from .loss import robust
+from .loss import robust, typical_size
 
 
 # and the kind of each column of `Errors.common`: colour is a slope and a bend, pointing has two axes
@@ -25,8 +25,6 @@ COMMON = _KIND_OF.size
 _LARGE = (0.1, 0.1, 0.03)
 # passes of the estimate, and steps of expectation and maximisation in each
 _PASSES, _STEPS = 4, 30
-# normal deviates: the median size is 1 / 1.4826 standard deviations
-_MEDIAN_SIZE = 1.4826
 # share of a column's length that counts as none, in the elimination of parameters without influence
 _GUARD = 1e-6
 
@@ -111,14 +109,14 @@ def whitening(errors: Errors, found: Components) -> Whitening:
     scaled = _scaled(errors, found) * weight[..., None]
     across, shares, frame = [], [], []
     for k in range(COMMON):
+        # what the columns before it leave of it
         column = scaled[..., k]
-        for vector, share in zip(across, shares, strict=True):
-            column = column - share[:, None] * vector * jnp.sum(vector * column, axis=1, keepdims=True)
         square = jnp.sum(column**2, axis=1)
         safe = jnp.where(square > 1e-6, square, 1.0)
         # (1 + a a^T)^(-1/2) = 1 - share a a^T; 1/2 for small ones
         shares.append(jnp.where(square > 1e-6, (1.0 - 1.0 / jnp.sqrt(1.0 + safe)) / safe, 0.5))
         across.append(column)
+        scaled = _mirrored(scaled, column, shares[-1])
         unit = column / jnp.sqrt(jnp.where(square > 0.0, square, 1.0))[:, None]
         for other in frame:
             unit = unit - other * jnp.sum(other * unit, axis=1, keepdims=True)
@@ -192,8 +190,7 @@ def estimate(
     the sigma of each column's unknown.
     **Source:** Patterson & Thompson 1971, Biometrika 58, 545; Dempster, Laird & Rubin 1977, J. R. Stat. Soc. B 39, 1.
     """
-    size = jnp.where(errors.weight > 0.0, jnp.abs(residual * errors.weight), jnp.nan)
-    middle = _MEDIAN_SIZE * jnp.nanmedian(size)
+    middle = typical_size((residual * errors.weight).reshape(-1), errors.weight.reshape(-1) > 0.0)
     middle = jnp.maximum(jnp.where(jnp.isfinite(middle), middle, 1.0), expected.least)
     large = jnp.where(jnp.isinf(expected.strength), expected.common, jnp.asarray(_LARGE, middle.dtype))
     calm = _calm(loss, threshold)

@@ -3,9 +3,13 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ..measured.noise import Loss
+
+
+# normal deviates: the median size is 1 / 1.4826 standard deviations
+_MEDIAN_SIZE = 1.4826
 
 
 class Robust(NamedTuple):
@@ -41,3 +45,8 @@ def robust(residual: Array, loss: Loss, threshold: Float[ArrayLike, ""]) -> Robu
     share = jnp.where(square > 1e-6, jnp.sqrt(jnp.log1p(safe) / safe), 1.0 - 0.25 * square)
     weight = 1.0 / (1.0 + square)
     return Robust(residual * share, weight / share, weight)
+
+
+def typical_size(residual: Float[Array, "*time sample"], held: Bool[Array, "*time sample"]) -> Float[Array, "*time"]:
+    """The standard deviation of normal residuals of which a few are anything, NaN where none is held."""
+    return _MEDIAN_SIZE * jnp.nanmedian(jnp.where(held, jnp.abs(residual), jnp.nan), axis=-1)

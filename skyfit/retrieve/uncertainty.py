@@ -10,7 +10,7 @@ from ..numerics import as_float, triangle
 from ..numerics.chain import Blocks, damped, marginal_rows, Point, solve_chain
 from ..numerics.least_squares import covariance
 from .forward import Problem
-from .loss import robust
+from .loss import robust, typical_size
 from .model_error import model_errors
 from .parameters import PARAMETERS
 from .residuals import (
@@ -28,8 +28,6 @@ from .residuals import (
 
 # strengths, in units of a column's length, of what keeps the elimination of unknowns without influence sound
 _GUARD = 1e-6
-# normal deviates: the median size is 1 / 1.4826 standard deviations
-_MEDIAN_SIZE = 1.4826
 # the least influence that residuals are taken to have on the mean, where hardly any is small
 _LEAST_SLOPE = 0.1
 
@@ -78,8 +76,7 @@ def noise_scale(choices: Choices, residual, weight) -> Float[Array, " time"]:
     if choices.loss == "squares":
         scale = jnp.sqrt(_chi_square(choices, residual, weight))
     else:
-        size = jnp.where(weight > 0.0, jnp.abs(residual), jnp.nan)
-        scale = _MEDIAN_SIZE * jnp.nanmedian(size, axis=1)
+        scale = typical_size(residual, weight > 0.0)
     return jnp.where(scale > 1.0, scale, 1.0)
 
 
