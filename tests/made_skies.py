@@ -17,9 +17,10 @@ EXACT = skyfit.NoiseModel(model_error=0.0)
 def by_hand(
     solver=SOLVER, wavelength_nm=PLAIN, directions=40, sun_zenith=0.9, sun_azimuth=1.0, factor=1.0,
     aerosol_optical_depth=0.2, angstrom_exponent=1.1, asymmetry=0.65, single_scattering_albedo=0.95,
-    ozone=300.0, ground_albedo=0.1, pressure=101325.0, fwhm_nm=6.0, phase=None,
+    ozone=300.0, ground_albedo=0.1, pressure=101325.0, fwhm_nm=6.0, phase=None, view=None,
 ):  # fmt: skip
-    """Radiance [direction, wavelength] by the solver alone, on `hemisphere(directions)`."""
+    """Radiance [direction, wavelength] by the solver alone, on `hemisphere(directions)` or of a `view`."""
+    view = skyfit.hemisphere(directions) if view is None else view
     phase = skyfit.HenyeyGreenstein(asymmetry) if phase is None else phase
     atmosphere = skyfit.Atmosphere(
         rayleigh=skyfit.Rayleigh(pressure=pressure),
@@ -28,7 +29,7 @@ def by_hand(
         ground=skyfit.Ground(ground_albedo),
     )
     sun = np.asarray(extraterrestrial_irradiance(wavelength_nm, fwhm_nm), float) * factor
-    scene = skyfit.Scene(sun_zenith, sun_azimuth, skyfit.hemisphere(directions), wavelength_nm, sun)
+    scene = skyfit.Scene(sun_zenith, sun_azimuth, view, wavelength_nm, sun)
     return np.asarray(solver.radiance(atmosphere, scene), float)
 
 

@@ -14,7 +14,7 @@ import skyfit
 from skyfit.cli import app, known, programs
 from skyfit.cli.fit_report import print_fit
 from skyfit.cli.models import turbidity_of
-from skyfit.retrieve import DEFAULT_FREE, PARAMETERS, PARTICLE_FREE, SLOW
+from skyfit.retrieve import PARAMETERS, PARTICLE_FREE, SLOW
 
 
 # of a haze of spheres, which the skies here have not
@@ -124,7 +124,7 @@ def test_fit_json_has_the_keys_of_its_schema(chain):
         "atmosphere", "measurement", "priors", "smooth", "free", "shared", "fixed", "calibration", "times",
         "total_rmse", "notes",
     }  # fmt: skip
-    assert (record["schema"], record["version"], record["source"]) == ("skyfit.fit", 3, "sky.nc")
+    assert (record["schema"], record["version"], record["source"]) == ("skyfit.fit", 4, "sky.nc")
     assert record["solver"] == {"name": "SingleScattering", "nodes": 12, "geometry": "flat"}
     assert record["geometry"] == "flat" and record["instrument"] == {"fwhm_nm": 5.0, "response": None}
     assert record["station"] == {
@@ -142,13 +142,13 @@ def test_fit_json_has_the_keys_of_its_schema(chain):
     (time,) = record["times"]
     assert set(time) == {
         "time", "sun_zenith_deg", "sun_azimuth_deg", "parameters", "correlation", "result", "steps", "rmse",
-        "rmse_unit", "samples", "masked", "reduced_chi_square", "scale", "degrees_of_freedom", "rejected",
-        "undetermined", "haze",
+        "rmse_unit", "samples", "masked", "reduced_chi_square", "noise", "beam", "degrees_of_freedom",
+        "rejected", "undetermined", "haze",
     }  # fmt: skip
     assert time["time"] is None and time["result"] == "successful" and time["undetermined"] == []
     assert (time["sun_zenith_deg"], time["sun_azimuth_deg"]) == pytest.approx((60.0, 180.0))
     for entry in time["parameters"].values():
-        assert set(entry) == {"value", "unit", "sigma", "model_sigma", "at_bound", "determined"}
+        assert set(entry) == {"value", "unit", "sigma", "model_sigma", "jackknife_sigma", "at_bound", "determined"}
     assert np.shape(time["correlation"]) == (2, 2) and time["correlation"][0][0] == pytest.approx(1.0)
     assert time["samples"] == 343 * 14 and time["masked"] == {}
     assert time["rmse"] == record["total_rmse"] < 1e-4 and time["rmse_unit"] == "W m-2 sr-1 nm-1"
@@ -309,7 +309,7 @@ def test_the_options_of_invert_reach_the_fit(monkeypatch, tmp_path):
     two_skies(tmp_path / "two.nc")
     (tmp_path / "camera.csv").write_text("wavelength_nm,blue,green\n450,1,0\n550,0,2\n650,0,1\n")
     usual = asked(monkeypatch, tmp_path)
-    assert usual["free"] == DEFAULT_FREE and usual["shared"] == tuple(n for n in DEFAULT_FREE if n in SLOW)
+    assert usual["free"] == PARTICLE_FREE and usual["shared"] == tuple(n for n in PARTICLE_FREE if n in SLOW)
     # the usual first steps of `invert` itself
     assert usual["solver"] == skyfit.OrdersOfScattering.normal(polarised=True) and usual["draft"] is None
     assert usual["measurement"] == skyfit.NoiseModel() and usual["starts"] == 1
@@ -373,11 +373,13 @@ def test_what_is_printed_of_many_parameters_and_of_poor_ones(capsys):
     many = 3 * list(range(4))
     wide = replace(
         fit, free=tuple(fit.free[p] for p in many), shared=(), values=fit.values[:, many], sigma=fit.sigma[:, many],
-        model_sigma=fit.model_sigma[:, many], at_bound=fit.at_bound[:, many], determined=fit.determined[:, many],
+        model_sigma=fit.model_sigma[:, many], jackknife_sigma=fit.sigma[:, many], at_bound=fit.at_bound[:, many],
+        determined=fit.determined[:, many],
     )  # fmt: skip
     print_fit(wide)
     printed = capsys.readouterr().out
     assert printed.count("asymmetry") == 6 and "each time" not in printed and narrow(printed)
+    assert printed.count("jackknife") == len(fit.sky.time)
 
 
 def test_lobes_that_are_known_together_alone_are_shown_by_their_mean(capsys):
@@ -466,7 +468,7 @@ def test_a_kept_program_gives_the_same_sky(tmp_path, monkeypatch):
 
 def test_what_the_help_knows_is_what_the_floors_beneath_have():
     assert known.SOLVER_NAMES == tuple(skyfit.transport.SOLVERS)
-    assert known.PARAMETER_NAMES == tuple(PARAMETERS) and known.DEFAULT_FREE == DEFAULT_FREE
+    assert known.PARAMETER_NAMES == tuple(PARAMETERS)
     assert known.THRESHOLD == skyfit.NoiseModel().threshold
     assert known.SEA_LEVEL_PRESSURE == skyfit.atmosphere.SEA_LEVEL_PRESSURE
 

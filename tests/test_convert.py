@@ -1,16 +1,18 @@
 """`skyfit convert`: what was understood of a file, in a short report, and a sky that reads back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from instrument_files import aeronet, csphot, FILTERS, optical_depths, patches, scan
 from test_luminance import written
 from typer.testing import CliRunner
 
+import skyfit
 from skyfit.cli import app
 from skyfit.cli.asked import free_of
-from skyfit.cli.known import DEFAULT_FREE
 from skyfit.measured import read
-from skyfit.retrieve import PARTICLE_FREE
+from skyfit.retrieve import LOBES_FREE, PARTICLE_FREE, usual_free
 
 
 def converted(folder, file, *options, to="sky.nc"):
@@ -81,17 +83,31 @@ def test_where_it_cannot_be_written(tmp_path, to, said):
     assert "write NetCDF" in str(done.exception) and not (tmp_path / "sky.csv").exists()
 
 
-def test_of_an_instrument_that_follows_the_sun_spheres_are_free_and_its_pointing_is_held(tmp_path):
-    sky = read(aeronet(tmp_path / "scan.alm", scan()))
-    usual = ",".join(DEFAULT_FREE)
+def test_what_is_free_where_nobody_says(tmp_path):
+    """Of an instrument that follows the sun the pointing is held, unless it is asked for by its own name."""
+    sky, still = read(aeronet(tmp_path / "scan.alm", scan())), read(written(tmp_path, ".csv", "cd m-2"))
     spheres = tuple(name for name in PARTICLE_FREE if not name.startswith("pointing_"))
-    names, noted = free_of(usual, DEFAULT_FREE, sky)
-    assert names == spheres and noted.notes[-1].startswith("spheres in two modes, pointing held")
-    assert free_of("particles", DEFAULT_FREE, sky)[0] == spheres
-    # two filters tell no sizes
-    few = free_of(usual, DEFAULT_FREE, read(aeronet(tmp_path / "few.alm", scan(filters=FILTERS[:2]))))
-    assert few[0] == DEFAULT_FREE[:-2] and few[1].notes[-1].startswith("pointing held")
-    asked = "turbidity,pointing_zenith"
-    assert free_of(asked, DEFAULT_FREE, sky) == (("turbidity", "pointing_zenith"), sky)
-    still = read(written(tmp_path, ".csv", "cd m-2"))
-    assert free_of(usual, DEFAULT_FREE, still) == (DEFAULT_FREE, still)
+    assert free_of(None, sky) == free_of("particles", sky) == spheres
+    # two filters tell no sizes, and no luminance does
+    assert free_of(None, read(aeronet(tmp_path / "few.alm", scan(filters=FILTERS[:2])))) == LOBES_FREE[:-2]
+    assert free_of(None, still) == free_of("lobes", still) == LOBES_FREE
+    assert free_of("turbidity,pointing_zenith", sky) == ("turbidity", "pointing_zenith")
+    # what is known is not free, unless it is asked for by its own name
+    known = {"fine_width": 0.4, "pointing_zenith": 0.0}
+    kept = tuple(name for name in spheres if name != "fine_width")
+    assert free_of(None, sky, known) == free_of("particles", sky, known) == kept
+    assert free_of("particles", still, known) == tuple(name for name in PARTICLE_FREE if name not in known)
+    assert "fine_width" in free_of("particles,fine_width", sky, known)
+
+
+def test_a_sky_that_lobes_made_is_one_of_lobes(tmp_path):
+    nm, view = np.array([440.0, 550.0, 870.0]), skyfit.hemisphere(4)
+    for haze, names in ((skyfit.Aerosol(0.2), LOBES_FREE), (skyfit.TwoModeAerosol(0.2), PARTICLE_FREE)):
+        air = skyfit.Atmosphere(skyfit.Rayleigh(), haze)
+        sky = skyfit.Sky(
+            radiance=np.ones((1, 4, 3)), sigma=None, usable=np.ones((1, 4, 3), bool),
+            view_zenith=np.asarray(view.zenith), view_azimuth=np.asarray(view.azimuth), wavelength_nm=nm,
+            sun_zenith=np.ones(1), sun_azimuth=np.ones(1), time=np.array(["NaT"], "datetime64[ns]"),
+        )  # fmt: skip
+        assert usual_free(sky) == PARTICLE_FREE
+        assert usual_free(replace(sky, made_by={"atmosphere": skyfit.atmosphere.describe(air)})) == names

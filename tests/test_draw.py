@@ -75,7 +75,7 @@ def test_a_page_holds_one_to_eight_times(fit, tmp_path, count):
     sky = replace(fit.sky, **{name: repeat(getattr(fit.sky, name)) for name in names})
     names = (
         "values", "sigma", "covariance", "model_sigma", "at_bound", "determined", "model", "used", "rmse",
-        "reduced_chi_square", "weight", "steps", "result", "undetermined",
+        "common", "scale", "beam_residual", "reduced_chi_square", "weight", "steps", "result", "undetermined",
     )  # fmt: skip
     plot(replace(fit, sky=sky, **{name: repeat(getattr(fit, name)) for name in names}), tmp_path / "fit.png")
     tall = picture_of(tmp_path / "fit.png").shape[0] / 150

@@ -112,7 +112,7 @@ def test_the_posterior_of_one_sky_by_sampling(x64, clean):
     """No-U-turn sampling of the likelihood itself, flat in the parameters, against values and sigmas of the fit."""
     blackjax = pytest.importorskip("blackjax")
     sky = as_sky(clean, NOISE, 55, wavelength_nm=NM, time=np.array(["NaT"], "datetime64[ns]"))
-    measurement = skyfit.NoiseModel(model_error=0.0, loss="squares")
+    measurement = skyfit.NoiseModel(model_error=0.0, loss="squares", level=0.0, colour=0.0, pointing=0.0)
     asked = prepared(sky, FREE, SOLVER, measurement=measurement)
     fit = skyfit.invert(sky, FREE, SOLVER, measurement=measurement)
     centre, size = jnp.asarray(fit.values[0]), jnp.asarray(fit.sigma[0] / fit.scale[0])

@@ -16,7 +16,8 @@ from skyfit.retrieve import start_model, with_values
 
 
 pytestmark = pytest.mark.usefixtures("haste")
-SQUARES = skyfit.NoiseModel(model_error=0.0, loss="squares")
+# noise of each sample alone, as the dense fit has it
+SQUARES = skyfit.NoiseModel(model_error=0.0, loss="squares", level=0.0, colour=0.0, pointing=0.0)
 SHARED = ("asymmetry",)
 DEPTHS, EXPONENTS, ASYMMETRY = (0.15, 0.3), (1.1, 0.8), 0.65
 ANGLES = (0.9, 0.6)

@@ -10,7 +10,7 @@ import skyfit
 from skyfit.atmosphere import Exponential, HenyeyGreenstein, Prescribed
 from skyfit.retrieve import (
     check_free,
-    DEFAULT_FREE,
+    LOBES_FREE,
     PARAMETERS,
     PARTICLE_FREE,
     SkyModel,
@@ -122,8 +122,8 @@ def test_what_holds_of_a_parameter_is_told_by_it():
     assert not {"turbidity", "aerosol_optical_depth", "ground_albedo", "pointing_zenith", "pointing_azimuth"} & set(
         SLOW
     )
-    lobes, spheres = start_model(DEFAULT_FREE, 101325.0), start_model(PARTICLE_FREE, 101325.0)
-    for names, has, lacks in ((DEFAULT_FREE, lobes, spheres), (PARTICLE_FREE, spheres, lobes)):
+    lobes, spheres = start_model(LOBES_FREE, 101325.0), start_model(PARTICLE_FREE, 101325.0)
+    for names, has, lacks in ((LOBES_FREE, lobes, spheres), (PARTICLE_FREE, spheres, lobes)):
         check_free(names, has)
         kind = [n for n in names if PARAMETERS[n].group]
         assert kind and not values_of(lacks, kind)

@@ -5,7 +5,7 @@ import pytest
 from foreign_skies import oracle_skies, random_truths, sasktran2_radiance, sasktran2_sky, Truth, with_noise
 
 import skyfit
-from skyfit.retrieve import DEFAULT_FREE
+from skyfit.retrieve import LOBES_FREE
 
 
 FREE = ("aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo", "asymmetry", "ground_albedo")
@@ -74,7 +74,7 @@ def test_haze_of_the_shared_oracles_skies_is_recovered(x64, shared):
 @pytest.mark.slow
 def test_haze_of_two_lobes_is_recovered_with_the_default_parameters(x64, sasktran2):
     truths = random_truths(6, seed=2, two_lobes=True)
-    found = Recovered([(truth, sasktran2_sky(truth), None) for truth in truths], 4, DEFAULT_FREE, skyfit.NoiseModel())
+    found = Recovered([(truth, sasktran2_sky(truth), None) for truth in truths], 4, LOBES_FREE, skyfit.NoiseModel())
     for name in (*LIMITS, "ground_albedo", "pointing_zenith", "pointing_azimuth"):
         error, sigma = found.of(name)
         assert np.mean(error <= 2.0 * sigma) >= 0.85, name

@@ -54,9 +54,12 @@ def model_of(**changes):
 
 
 def by_hand(solver, view, **changes):
-    """Radiance by the solver alone, the sun moved by the pointing."""
+    """Radiance by the solver alone, the views moved by the pointing, over the zenith to its other side."""
     v = TRUTH | changes
-    scene = skyfit.Scene.from_degrees(40.0 + v["pointing_zenith"], view, WAVELENGTH, 30.0 + v["pointing_azimuth"])
+    zenith = np.asarray(view.zenith, float) - np.radians(v["pointing_zenith"])
+    azimuth = np.asarray(view.azimuth, float) - np.radians(v["pointing_azimuth"])
+    moved = skyfit.Directions(np.abs(zenith), np.where(zenith < 0.0, azimuth + np.pi, azimuth))
+    scene = skyfit.Scene.from_degrees(40.0, moved, WAVELENGTH, 30.0)
     return np.asarray(solver.radiance(atmosphere_of(**changes), scene), float)
 
 

@@ -23,7 +23,7 @@ import scipy.optimize
 import skyfit
 from skyfit.measured import NoiseModel
 from skyfit.numerics import as_float
-from skyfit.retrieve import DEFAULT_FREE, start_model, with_values
+from skyfit.retrieve import LOBES_FREE, start_model, with_values
 from skyfit.retrieve.forward import observe
 from skyfit.retrieve.invert import solve
 from skyfit.retrieve.prepared import first_points, prepared
@@ -43,7 +43,7 @@ STARTS_FREE = (
 def scan(shared: pathlib.Path) -> dict:
     """One measured scan by `invert`, by scipy over the same jitted residual, and scipy's calls over sasktran2."""
     sky = skyfit.read(shared / "measured" / "kider2014" / "2013-05-27.nc").at(SCAN).select(GRID)
-    asked = prepared(sky, DEFAULT_FREE, measurement=PLAIN, fwhm_nm=5.75)
+    asked = prepared(sky, LOBES_FREE, measurement=PLAIN, fwhm_nm=5.75)
     here = np.array([0])
     one = asked.problem.at(0)
 

@@ -22,7 +22,7 @@ import jax
 import numpy as np
 
 import skyfit
-from skyfit.retrieve import DEFAULT_FREE, PARTICLE_FREE, SLOW
+from skyfit.retrieve import LOBES_FREE, PARTICLE_FREE, SLOW
 from skyfit.scene import haversine
 
 
@@ -33,7 +33,7 @@ GRID = 360.0 + 11.75 * np.arange(31)
 SETTLED, NEAR = 6, 20.0
 BINS, COLOURS = np.arange(15.0, 106.0, 15.0), (383, 430, 500, 580, 650, 710)
 # one phase function of two lobes for all wavelengths; the ground of a green landscape in all of them
-TWO_LOBES = (*(name for name in DEFAULT_FREE if name != "forward_fraction_slope"), "ground_red_edge")
+TWO_LOBES = (*(name for name in LOBES_FREE if name != "forward_fraction_slope"), "ground_red_edge")
 MODELS = {
     "scalar, two lobes": (skyfit.OrdersOfScattering.normal(), TWO_LOBES),
     "polarised, two lobes": (skyfit.OrdersOfScattering.normal(polarised=True), TWO_LOBES),
@@ -176,7 +176,7 @@ def remains(fit, sky: skyfit.Sky) -> dict[str, float]:
 
 def usual(sky: skyfit.Sky, halves: int) -> tuple[dict, skyfit.Fit]:
     """The default fit of the scans together and of each alone, in the sample and held out, and the first of these."""
-    shared = [name for name in DEFAULT_FREE if name in SLOW]
+    shared = [name for name in LOBES_FREE if name in SLOW]
     far = from_sun(sky) > NEAR
     fits, record = {}, {}
     for name, settings in (("together", {"shared": shared}), ("alone", {})):

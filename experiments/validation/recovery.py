@@ -27,7 +27,7 @@ import numpy as np
 
 import skyfit
 from experiments.benchmarks.tiers import HERE, made_with
-from skyfit.retrieve import DEFAULT_FREE, simulate, SkyModel, with_values
+from skyfit.retrieve import LOBES_FREE, simulate, SkyModel, with_values
 
 
 def tests_module(name: str):
@@ -241,7 +241,7 @@ def main():
         "sasktran2 flat, normal": lambda: recover(noisy_skies(truths), FREE, FLAT["normal"]),
         "sasktran2 flat, draft": lambda: recover(noisy_skies(truths), FREE, FLAT["draft"]),
         "sasktran2 flat, two lobes, default parameters": lambda: recover(
-            noisy_skies(two_lobes), DEFAULT_FREE, FLAT["normal"]
+            noisy_skies(two_lobes), LOBES_FREE, FLAT["normal"]
         ),
         "shared oracle flat, normal": lambda: recover(noisy_oracle(oracle), FREE, FLAT["normal"]),
         "sasktran2 spherical, default solver": lambda: recover(

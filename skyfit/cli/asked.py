@@ -1,53 +1,57 @@
 """What `skyfit invert` is asked for, from words to settings."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ..measured import read_response, Response, Sky
 from ..measured.readers.header import moment_of
-from ..retrieve import check_free, PARAMETERS, PARTICLE_FREE, SkyModel, SLOW, start_at, with_values
+from ..retrieve import (
+    check_free,
+    LOBES_FREE,
+    PARAMETERS,
+    PARTICLE_FREE,
+    SkyModel,
+    SLOW,
+    start_at,
+    usual_free,
+    with_values,
+)
+from ..retrieve.parameters import POINTING
 from .options import in_range
 
 
-# filters that tell the sizes of particles
-_MANY_FILTERS = 3
+_SETS = {"particles": PARTICLE_FREE, "lobes": LOBES_FREE}
 
 
 def names_in(text: str) -> tuple[str, ...]:
-    """Names with commas between them; `particles` stands for `PARTICLE_FREE`."""
+    """Names with commas between them; `particles` and `lobes` stand for `PARTICLE_FREE` and `LOBES_FREE`."""
     names = [name.strip() for name in text.split(",") if name.strip()]
-    return tuple(one for name in names for one in (PARTICLE_FREE if name == "particles" else (name,)))
+    return tuple(one for name in names for one in _SETS.get(name, (name,)))
 
 
-def free_of(text: str, usual: tuple[str, ...], sky: Sky) -> tuple[tuple[str, ...], Sky]:
-    """The names of the free parameters, and the sky, with a note where they are other than the usual ones.
+def free_of(text: str | None, sky: Sky, known: Collection[str] = ()) -> tuple[str, ...]:
+    """The names of the free parameters: those asked for, or of a set, or usual for such a sky, all that is not known.
 
-    A photometer that follows the sun over an octave sees how the phase function changes with wavelength, which two
-    lobes of Henyey and Greenstein do not, and spheres do. It knows where it looks, and an almucantar does not tell a
-    shift from a haze.
+    Of a set the pointing is left out too where the instrument follows the sun, and so knows where it looks.
     """
-    names = names_in(text)
-    if sky.view_zenith_by_wavelength is None:
-        return names, sky
-    seen = sky.wavelength_nm[sky.usable.any(axis=(0, 1))]
-    spheres = names == usual and seen.size >= _MANY_FILTERS
-    asked = () if names == usual else tuple(name.strip() for name in text.split(","))
-    kept = tuple(n for n in (PARTICLE_FREE if spheres else names) if n in asked or not n.startswith("pointing_"))
-    if kept == names:
-        return names, sky
-    what = "spheres in two modes, pointing held" if spheres else "pointing held"
-    note = f"{what}, as of an instrument that follows the sun: --free names others"
-    return kept, replace(sky, notes=(*sky.notes, note))
+    if text is None:
+        return tuple(name for name in usual_free(sky) if name not in known)
+    asked = [name.strip() for name in text.split(",")]
+    left = {*known, *(() if sky.view_zenith_by_wavelength is None else POINTING)}
+    return tuple(name for name in names_in(text) if name in asked or name not in left)
 
 
-def start_of(free: tuple[str, ...], fix: Sequence[str], sky: Sky) -> SkyModel:
+def values_of_fix(fix: Sequence[str]) -> dict[str, float]:
+    """The values that the user knows, by name."""
+    return {name: _value("--fix", name, text) for name, text in _by_name("--fix", "name=value", fix).items()}
+
+
+def start_of(free: tuple[str, ...], known: Mapping[str, float], sky: Sky) -> SkyModel:
     """The first guess, with the values that the user knows."""
     start = start_at(sky, free)
     check_free(free, start)
-    known = {name: _value("--fix", name, text) for name, text in _by_name("--fix", "name=value", fix).items()}
     for name in known:
         if name in free:
             raise ValueError(f"`--fix` must name each parameter once and none of `--free`, got {name!r}")
@@ -71,10 +75,13 @@ def shared_of(
     return tuple(name for name in free if name in SLOW and name not in smooth) if times > 1 else ()
 
 
-def priors_of(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Value and sigma of each parameter of which something is known before."""
-    form, priors = "name=value,sigma", {}
+def priors_of(texts: Sequence[str]) -> dict[str, tuple[float, float] | None]:
+    """Value and sigma of each parameter of which something is known before; None where nothing is to be."""
+    form, priors = "name=value,sigma or name=none", {}
     for name, text in _by_name("--prior", form, texts).items():
+        if text == "none":
+            priors[name] = None
+            continue
         value, comma, sigma = text.partition(",")
         if not comma:
             raise ValueError(f"`--prior` must be {form}, got {name + '=' + text!r}")

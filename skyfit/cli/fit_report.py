@@ -5,6 +5,7 @@ import numpy as np
 from ..atmosphere import TwoModeAerosol
 from ..measured import time_names
 from ..retrieve import aerosol_optics, Fit, PARAMETERS
+from ..retrieve.components import KINDS
 from .models import in_words
 from .printing import console, table
 
@@ -65,22 +66,23 @@ def _times(fit: Fit) -> tuple[str, list[str]]:
 
 def _print_parameters(fit: Fit, t: int, places: list[int], title: str) -> None:
     values = table(title)
-    for heading in ("parameter", "value", "sigma", "by model", "unit", "remarks"):
-        justify = "right" if heading in ("value", "sigma", "by model") else "left"
+    told = np.isfinite(fit.jackknife_sigma[t, places]).any()
+    numbers = ("value", "sigma", "by model", *(("jackknife",) if told else ()))
+    for heading in ("parameter", *numbers, "unit", "remarks"):
         # what is too wide goes on in a second line of the remarks
-        values.add_column(heading, justify=justify, no_wrap=heading != "remarks")
+        values.add_column(heading, justify="right" if heading in numbers else "left", no_wrap=heading != "remarks")
     lobes = fit.effective_asymmetry(t)
     together = () if lobes is None else lobes.names
     if lobes is not None and any(fit.free[p] in together for p in places):
-        values.add_row("effective_asymmetry", f"{lobes.value:.5g}", f"{lobes.sigma:.2g}", "", "1", "of both lobes")
+        shown = (f"{lobes.value:.5g}", f"{lobes.sigma:.2g}", "", "")[: len(numbers)]
+        values.add_row("effective_asymmetry", *shown, "1", "of both lobes")
     for p in places:
         if fit.free[p] in together:
             continue
         flags = ["at bound"] * bool(fit.at_bound[t, p]) + ["not determined"] * (not fit.determined[t, p])
-        values.add_row(
-            fit.free[p], f"{fit.values[t, p]:.5g}", f"{fit.sigma[t, p]:.2g}", f"{fit.model_sigma[t, p]:.2g}",
-            PARAMETERS[fit.free[p]].unit, ", ".join(flags),
-        )  # fmt: skip
+        sigmas = (fit.sigma[t, p], fit.model_sigma[t, p], fit.jackknife_sigma[t, p])[: len(numbers) - 1]
+        shown = (f"{fit.values[t, p]:.5g}", *(f"{sigma:.2g}" for sigma in sigmas))
+        values.add_row(fit.free[p], *shown, PARAMETERS[fit.free[p]].unit, ", ".join(flags))
     console.print(values)
 
 
@@ -138,9 +140,21 @@ def _open_ends(fit: Fit):
 def _about(fit: Fit):
     known = "stated" if fit.measurement.stated(fit.sky) else "assumed"
     error = 100.0 * fit.model_error
-    noise = f"noise, {_span(fit.scale, '.2g')} times the {known} one"
+    noise = f"noise, each sample's own {_span(fit.scale, '.2g')} times the {known} one"
     yield f"model: {in_words(fit.solver)}"
     yield f"sigma: {noise}, and a model error of {error:.2g} % (by model)"
+    level, colour, pointing = fit.common.T
+    yield (
+        f"a direction's own errors: level {_span(100.0 * level, '.2g')} %, colour {_span(100.0 * colour, '.2g')} %, "
+        f"pointing {_span(np.degrees(pointing), '.2g')} deg"
+    )
+    share = fit.error_share.mean(axis=0)
+    most = ("each sample's own", *KINDS)[int(np.argmax(share))]
+    spectral, angular = fit.residual_correlation.T
+    yield (
+        f"most of the noise: {most}, {100.0 * share.max():.0f} %; the rest correlates {_span(spectral, '.2f')} with "
+        f"the next wavelength, {_span(angular, '.2f')} with the nearest direction"
+    )
     yield from _haze(fit)
     yield from _calibration(fit)
     yield from _rejected(fit)

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from .asked_of_files import Altitude, Latitude, Longitude, read_asked, ResponseOption, Times, UtcOffset
-from .known import DEFAULT_FREE, PARAMETER_NAMES, THRESHOLD
+from .known import PARAMETER_NAMES, THRESHOLD
 from .options import (
     app,
     check_folder,
@@ -24,9 +24,14 @@ from .options import (
 
 
 FreeOption = Annotated[
-    str, typer.Option(help=f"with commas: particles (sizes and index of spheres) or of {', '.join(PARAMETER_NAMES)}")
+    str | None,
+    typer.Option(
+        help="with commas: particles (sizes and index of spheres; default for spectra), lobes (default else) or of "
+        + ", ".join(PARAMETER_NAMES)
+    ),
 ]
-DEFAULT_FREE_TEXT = ",".join(DEFAULT_FREE)
+# that a jackknife leaves out by turns
+_GROUPS = 10
 # degrees; `NoiseModel` ends at half a radian
 _WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 
@@ -35,9 +40,9 @@ _WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 def invert_command(
     sky: Annotated[Path, typer.Argument(help="of an instrument, NetCDF, CSV or a folder of ASD text exports")],
     out: OutFolder,
-    free: FreeOption = DEFAULT_FREE_TEXT,
+    free: FreeOption = None,
     fix: Annotated[list[str] | None, typer.Option(help="name=value of a parameter that is known")] = None,
-    prior: Annotated[list[str] | None, typer.Option(help="name=value,sigma known before, repeatable")] = None,
+    prior: Annotated[list[str] | None, typer.Option(help="name=value,sigma known before, or name=none")] = None,
     shared: Annotated[str | None, typer.Option(help="names that all times share (default: the slow ones)")] = None,
     independent: Annotated[bool, typer.Option("--independent", help="each time by itself, nothing shared")] = False,
     smooth: Annotated[list[str] | None, typer.Option(help="name=sigma of its change per hour, repeatable")] = None,
@@ -49,6 +54,9 @@ def invert_command(
     loss: Annotated[LossName, typer.Option(help="of residuals beyond the threshold")] = LossName.huber,
     threshold: Annotated[float, typer.Option(help="of the loss, in sigma")] = THRESHOLD,
     starts: Annotated[int, typer.Option(help="of the search, random ones but for the first")] = 1,
+    jackknife: Annotated[
+        bool, typer.Option("--jackknife", help="sigma also from ten fits that leave out directions by turns")
+    ] = False,
     mask_sun: Annotated[float | None, typer.Option(help="leave out samples within so many degrees of the sun")] = None,
     times: Times = None,
     response: ResponseOption = None,
@@ -74,7 +82,7 @@ def invert_command(
     from ..measured import mask_sun as without_sun, NoiseModel
     from ..records import save
     from ..retrieve import invert
-    from .asked import free_of, priors_of, response_of, shared_of, smooth_of, start_of, times_of
+    from .asked import free_of, priors_of, response_of, shared_of, smooth_of, start_of, times_of, values_of_fix
     from .fit_report import print_fit
     from .models import make_solver
     from .printing import console, progress
@@ -89,8 +97,9 @@ def invert_command(
         measured = measured.at_times(times_of(times, measured))
     if mask_sun is not None:
         measured = without_sun(measured, radians(in_range("--mask-sun", mask_sun, 0.0, 180.0)))
-    names, measured = free_of(free, DEFAULT_FREE, measured)
-    start = start_of(names, fix or [], measured)
+    known = values_of_fix(fix or [])
+    names = free_of(free, measured, known)
+    start = start_of(names, known, measured)
     common = shared_of(names, shared, independent, tuple(smoothed), len(measured.time))
     spectral = channels is None and measured.response is None
     vector = spectral and solver == "orders" if polarised is None else polarised
@@ -101,7 +110,7 @@ def invert_command(
     with progress("compiling and fitting") as report:
         fit = invert(
             measured, names, last, start, progress=report, shared=common, measurement=measurement, response=channels,
-            priors=priors, smooth=smoothed, draft=first, starts=starts,
+            priors=priors, smooth=smoothed, draft=first, starts=starts, jackknife=_GROUPS if jackknife else 0,
         )  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
     save(fit, out / "fit.json")

@@ -8,11 +8,6 @@ PARAMETER_NAMES = (
     "refractive_index", "absorption_index", "aerosol_scale_height", "ozone", "ground_albedo", "ground_albedo_slope",
     "ground_red_edge", "pressure", "pointing_zenith", "pointing_azimuth",
 )  # fmt: skip
-DEFAULT_FREE = (
-    "aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo", "asymmetry",
-    "asymmetry_second", "forward_fraction", "forward_fraction_slope", "ground_albedo", "pointing_zenith",
-    "pointing_azimuth",
-)  # fmt: skip
 # of `NoiseModel`, in sigma
 THRESHOLD = 3.0
 SEA_LEVEL_PRESSURE = 101325.0  # Pa

@@ -69,7 +69,7 @@ def draw_shared(figure, fit: Fit, left: float, y: float) -> None:
 
 def table_height(fit: Fit, t: int) -> float:
     """Inches below the first line of `draw_table`."""
-    return LINE * (len(fit.free) - len(fit.shared) + len(_own_sentences(fit, t)))
+    return LINE * (len(fit.free) - len(fit.shared) + len(_noise(fit, t)) + len(_own_sentences(fit, t)))
 
 
 def draw_table(axes, fit: Fit, t: int) -> None:
@@ -93,6 +93,9 @@ def draw_table(axes, fit: Fit, t: int) -> None:
         write(0.0, entry.name, color=entry.colour)
         write(0.50, entry.value, ha="right", color=entry.colour)
         write(0.525, entry.spread, color=entry.colour)
+    for sentence in _noise(fit, t):
+        y += LINE
+        write(0.0, sentence, color=_SURE)
     for sentence in _own_sentences(fit, t):
         y += LINE
         write(0.0, sentence, color=_OPEN, style="italic")
@@ -124,6 +127,18 @@ def _decimals(sigma: float) -> int | None:
 def _told(fit: Fit, t: int) -> list[str]:
     """What is left open at a time and not said by the flags."""
     return [s for s in fit.undetermined[t] if not s.endswith("is not determined by these data")]
+
+
+def _noise(fit: Fit, t: int) -> list[str]:
+    """The kinds of error of a time, and how far the direct beam is from that of the fit."""
+    level, colour, pointing = fit.common[t]
+    said = [
+        f"noise: {fit.scale[t]:.2g} sigma, level {100.0 * level:.2g} %, colour {100.0 * colour:.2g} %, "
+        f"pointing {np.degrees(pointing):.2g}\N{DEGREE SIGN}"
+    ]
+    if np.isfinite(fit.beam_residual[t]).any():
+        said.append(f"direct beam: within {np.nanmax(np.abs(fit.beam_residual[t])):.2g} sigma of the fit's")
+    return said
 
 
 def _common_sentences(fit: Fit) -> list[str]:

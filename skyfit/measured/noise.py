@@ -11,9 +11,14 @@ from .samples import Sky
 
 Loss = Literal["squares", "huber", "cauchy"]
 
-# where a file gives none, of each sample and of the time's median radiance: so are the residuals of settled measured
-# scans (experiments/studies/measured_sky.py)
+# where a file gives none, of each sample and of the time's median radiance: where the sizes of a fit's residuals begin
+# (experiments/studies/measured_sky.py)
 _RELATIVE, _FLOOR = 0.02, 0.05
+# what directions' errors are taken for before the residuals are seen, and for how many directions that counts: relative
+# level and colour, and pointing in radians: small, so that skies without any keep their error bars
+_LEVEL, _COLOUR, _POINTING, _STRENGTH = 5e-4, 3e-4, 2e-4, 1.0
+# the least that the samples' own noise is of an assumed one
+_LEAST = 1.0
 # the calibration's prior where the noise is not known either
 _CALIBRATION = 0.01
 
@@ -30,6 +35,11 @@ class NoiseModel:
       by comparison with other solvers 0.006 for leaving polarisation out and 0.003 for a haze at another height; for
       skies that a solver of the same kind made, of known haze height, 0.001 (flat: 0.0005; drafts 0.004 and 0.002).
       None: that of the solver.
+    - `level`, `colour`, `pointing`: standard deviations of errors that all wavelengths of a direction share: relative,
+      of its level and of its colour (a slope and a bend in the logarithm of wavelength, of this size at the ends), and
+      of where it was looked, radians, on each of two axes. None: as large as the residuals show; 0: there are none.
+      Where each wavelength has views of its own so has each sample its error of pointing
+    - `time_level`: relative error that all samples of a time share, which no residual shows
     - `field_of_view`: full cone angle of what the instrument sees, radians; 0: a ray.
     - `loss`: of a residual beyond `threshold` standard deviations: "squares", "huber" (linear) or "cauchy"
       (logarithmic), against clouds, masts and flare.
@@ -42,11 +52,16 @@ class NoiseModel:
     field_of_view: float = 0.0
     loss: Loss = "huber"
     threshold: float = 3.0
+    level: float | None = None
+    colour: float | None = None
+    pointing: float | None = None
+    time_level: float = 0.0
 
     def __post_init__(self):
         for name, low, high in (
             ("relative", 0.0, 1.0), ("floor", 0.0, 1.0), ("calibration", 0.0, 1.0), ("model_error", 0.0, 1.0),
-            ("field_of_view", 0.0, 0.5), ("threshold", 0.5, 1e3),
+            ("field_of_view", 0.0, 0.5), ("threshold", 0.5, 1e3), ("level", 0.0, 1.0), ("colour", 0.0, 1.0),
+            ("pointing", 0.0, 0.2), ("time_level", 0.0, 1.0),
         ):  # fmt: skip
             check_range(name, getattr(self, name), low, high)
         if self.loss not in ("squares", "huber", "cauchy"):
@@ -73,6 +88,16 @@ class NoiseModel:
         # a sample of 0 with relative noise only would count infinitely
         least = 1e-6 * np.max(np.where(used, sky.radiance, 0.0), initial=0.0)
         return np.maximum(result, least if least > 0.0 else 1.0)
+
+    def shared_errors(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """What is taken for errors that wavelengths share, and for how many directions that counts; inf: given."""
+        given, taken = (self.level, self.colour, self.pointing), (_LEVEL, _COLOUR, _POINTING)
+        sizes = tuple(t if g is None else g for g, t in zip(given, taken, strict=True))
+        return sizes, tuple(_STRENGTH if g is None else float("inf") for g in given)
+
+    def least_scale(self, sky: Sky) -> float:
+        """How small the samples' own noise may be beside what `sigma` says."""
+        return 1.0 if self.stated(sky) else _LEAST
 
     def calibration_prior(self, sky: Sky) -> float:
         """The standard deviation of each wavelength's scale."""

@@ -23,8 +23,9 @@ from ..measured.readers.dataset import load_dataset
 from ..measured.units import RADIANCE
 from ..measured.writing import skyfit_version
 from ..numerics import as_float
-from ..retrieve import DEFAULT_FREE, Fits, PARAMETERS, SkyModel
+from ..retrieve import Fits, PARAMETERS, SkyModel
 from ..retrieve.batch import fit_chunks, fits_of_parts, RESULTS
+from ..retrieve.components import KINDS
 from ..retrieve.parameters import fixed_values
 from ..retrieve.prepared import Prepared, prepared
 from ..transport import AbstractSolver
@@ -32,6 +33,7 @@ from ..transport import AbstractSolver
 
 _SETTINGS = "settings.json"
 _BY_TIME, _BY_PARAMETER, _BY_WAVELENGTH = ("time",), ("time", "parameter"), ("time", "wavelength")
+_BY_KIND = ("time", "kind")
 # dimensions, units and meaning of each variable
 _VARIABLES = {
     "values": (_BY_PARAMETER, None, "fitted value, in the unit of its parameter"),
@@ -43,7 +45,9 @@ _VARIABLES = {
     "rmse": (_BY_TIME, RADIANCE, "over the usable samples at the fitted wavelengths"),
     "samples": (_BY_TIME, "1", "how many those are"),
     "reduced_chi_square": (_BY_TIME, "1", "of all samples and the stated noise"),
-    "scale": (_BY_TIME, "1", "factor by which the residuals have widened sigma"),
+    "scale": (_BY_TIME, "1", "the samples' own noise, in what was stated"),
+    "common": (_BY_KIND, None, "errors that the wavelengths of a direction share; pointing in radians"),
+    "widening": (_BY_TIME, "1", "factor by which samples that are trusted less widen sigma"),
     "degrees_of_freedom": (_BY_TIME, "1", "parameters that the data determine, not the priors"),
     "calibration": (_BY_WAVELENGTH, "1", "the instrument's scale"),
     "calibration_sigma": (_BY_WAVELENGTH, "1", "its standard deviation"),
@@ -55,7 +59,7 @@ _FLAGS, _SKY_NOTES = ("at_bound", "determined"), "sky_notes"
 
 def fit_many(
     sky: Sky,
-    free: Sequence[str] = DEFAULT_FREE,
+    free: Sequence[str] | None = None,
     path: str | os.PathLike | None = None,
     solver: AbstractSolver | None = None,
     start: SkyModel | None = None,
@@ -67,7 +71,7 @@ def fit_many(
     batch_size: int = 1,
     measurement: NoiseModel | None = None,
     response: Response | None = None,
-    priors: Mapping[str, tuple[float, float]] | None = None,
+    priors: Mapping[str, tuple[float, float] | None] | None = None,
     draft: AbstractSolver | None = None,
     guess: bool = True,
     starts: int = 1,
@@ -239,6 +243,7 @@ def _write(fits: Fits, file: Path) -> None:
         "time": ("time", fits.time),
         "parameter": ("parameter", names),
         "other_parameter": ("other_parameter", names),
+        "kind": ("kind", np.array(KINDS, object)),
         "wavelength": ("wavelength", fits.fitted_nm, {"units": "nm"}),
     }
     attributes = fits.settings | {"fixed": json.dumps(fits.fixed), _SKY_NOTES: "\n".join(fits.sky_notes)}

@@ -12,7 +12,7 @@ from .invert import invert as invert
 from .model import SkyModel as SkyModel
 from .parameters import (
     check_free as check_free,
-    DEFAULT_FREE as DEFAULT_FREE,
+    LOBES_FREE as LOBES_FREE,
     PARAMETERS as PARAMETERS,
     PARTICLE_FREE as PARTICLE_FREE,
     SLOW as SLOW,
@@ -21,6 +21,6 @@ from .parameters import (
     with_values as with_values,
 )
 from .predict import predict as predict
-from .prepared import start_at as start_at
+from .prepared import start_at as start_at, usual_free as usual_free
 from .result import Fit as Fit, Fitted as Fitted
 from .retrieve import retrieve as retrieve

@@ -40,7 +40,8 @@ class Fits:
 
     - `values`, `sigma`, `model_sigma`, `at_bound`, `determined` `[time, parameter]` and `covariance` `[time, parameter,
       parameter]` as in `Fit`, in the order of `free`, units as in `PARAMETERS`; NaN (false) where a time has none
-    - `reduced_chi_square`, `scale`, `degrees_of_freedom` `[time]` as in `Fit`; `rmse` `[time]`, W m^-2 sr^-1 nm^-1,
+    - `reduced_chi_square`, `scale`, `widening`, `degrees_of_freedom` `[time]` and `common` `[time, kind]` as in `Fit`;
+      `rmse` `[time]`, W m^-2 sr^-1 nm^-1,
       over the usable samples at the fitted wavelengths, `samples` of them
     - `calibration`, `calibration_sigma` `[time, fitted wavelength]`: the instrument's scale, 1 where it is not fitted
     - `steps` `[time]`, `cost` `[time]`: half the sum of squares after the loss
@@ -68,6 +69,8 @@ class Fits:
     samples: np.ndarray
     reduced_chi_square: np.ndarray
     scale: np.ndarray
+    common: np.ndarray
+    widening: np.ndarray
     degrees_of_freedom: np.ndarray
     calibration: np.ndarray
     calibration_sigma: np.ndarray
@@ -94,6 +97,8 @@ class Outcome(NamedTuple):
     model: Float[Array, "... parameter parameter"]
     freedom: Float[Array, "..."]
     scale: Float[Array, "..."]
+    common: Float[Array, "... kind"]
+    widening: Float[Array, "..."]
     chi_square: Float[Array, "..."]
     calibration: Float[Array, "... channel"]
     calibration_sigma: Float[Array, "... channel"]
@@ -207,9 +212,9 @@ def _outcome(model, names, options, priors, one, own) -> Outcome:
     kept_rmse = jnp.sqrt(jnp.sum(jnp.where(kept, found.radiance[0] - one.measured, 0.0) ** 2) / kept_count)
     poor = ~(kept_rmse <= POOR * jnp.sum(jnp.where(kept, one.measured, 0.0)) / kept_count)
     return Outcome(
-        found.values[0], found.noise[0], found.model[0], found.freedom[0], found.scale[0], found.chi_square[0],
-        found.calibration, found.calibration_sigma, rmse, found.cost, found.steps,
-        ended(found.result, found.finite, poor),
+        found.values[0], found.noise[0], found.model[0], found.freedom[0], found.scale[0], found.common[0],
+        found.widening[0], found.chi_square[0], found.calibration, found.calibration_sigma, rmse, found.cost,
+        found.steps, ended(found.result, found.finite, poor),
     )  # fmt: skip
 
 
@@ -255,6 +260,8 @@ def _columns(asked: Prepared, index: np.ndarray, ends: list[str], notes: list[st
         "samples": asked.sampling.used[index][:, :, asked.chosen].sum(axis=(1, 2)),
         "reduced_chi_square": told["chi_square"],
         "scale": told["scale"],
+        "common": told["common"],
+        "widening": told["widening"],
         "degrees_of_freedom": told["freedom"],
         "calibration": told["calibration"],
         "calibration_sigma": told["calibration_sigma"],

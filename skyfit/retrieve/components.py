@@ -19,10 +19,12 @@ from .loss import robust, typical_size
 
 # and the kind of each column of `Errors.common`: colour is a slope and a bend, pointing has two axes
 KINDS = ("level", "colour", "pointing")
-_KIND_OF = np.array([0, 1, 1, 2, 2])
+_KIND_OF = np.array([0, 1, 1, 2, 2], np.uint8)
 COMMON = _KIND_OF.size
 # where the search for the sizes begins, in the order of `KINDS`: large, for from below it is slow
 _LARGE = (0.1, 0.1, 0.03)
+# of the radiance: a model whose residuals are typically larger is wrong; freed of errors in common it would go anywhere
+_WRONG = 0.1
 # passes of the estimate, and steps of expectation and maximisation in each
 _PASSES, _STEPS = 4, 30
 # share of a column's length that counts as none, in the elimination of parameters without influence
@@ -126,6 +128,11 @@ def whitening(errors: Errors, found: Components) -> Whitening:
     return Whitening(weight, jnp.stack(across), jnp.stack(shares), jnp.stack(frame))
 
 
+def _of_kind(effects, kind: int):
+    """What belongs to the columns of one kind."""
+    return jnp.stack([effects[i] for i, of in enumerate(_KIND_OF) if of == kind])
+
+
 def _scaled(errors: Errors, found: Components):
     return errors.common * found.common[_KIND_OF][None, None]
 
@@ -167,6 +174,17 @@ def joined(white: Whitening, rows: Float[Array, "direction row"]) -> Float[Array
     return rows[:, COMMON:] + jnp.einsum("edc,de->dc", white.frame, rows[:, :COMMON])
 
 
+def share_of(errors: Errors, found: Components) -> Float[Array, " kind"]:
+    """The share of each kind, the samples' own first, in the squares of all errors over the stated sigma."""
+    held = errors.weight > 0.0
+    of_all = jnp.sum((_scaled(errors, found) * errors.weight[..., None]) ** 2, axis=(0, 1))
+    squares = [found.sample**2 * jnp.sum(held), *(jnp.sum(_of_kind(of_all, k)) for k in range(len(KINDS)))]
+    if errors.turned is not None:
+        squares[-1] = jnp.sum(errors.turned * (found.common[-1] * errors.weight) ** 2)
+    every = jnp.stack(squares)
+    return every / jnp.maximum(jnp.sum(every), 1e-30)
+
+
 def trust_of(weight: Float[Array, "direction row"]) -> Float[Array, "direction channel"]:
     """The trust of the loss in each sample, from that in the rows of its direction."""
     return jnp.min(weight[:, :COMMON], axis=1, keepdims=True) * weight[:, COMMON:]
@@ -180,14 +198,16 @@ def estimate(
     expected: Expected,
     loss: Loss,
     threshold: Float[Array, ""],
+    moves: bool = True,
 ) -> Components:
     r"""The sizes that the residuals of one time show, by restricted maximum likelihood.
 
     Errors in common are unknowns with a normal distribution, and the parameters such without one; the variances by
-    expectation and maximisation over the posterior of both. Rows that the loss trusts less count less.
+    expectation and maximisation over the posterior of both. Rows that the loss trusts less count less. Where the model
+    is typically off by a tenth all errors count as the samples' own.
 
     **Arguments:** `residual`, model minus measurement; `columns`, its slopes by all that is fitted, `prior`, one over
-    the sigma of each column's unknown.
+    the sigma of each column's unknown; `moves`: whether these go where the residuals draw them, or others hold them.
     **Source:** Patterson & Thompson 1971, Biometrika 58, 545; Dempster, Laird & Rubin 1977, J. R. Stat. Soc. B 39, 1.
     """
     middle = typical_size((residual * errors.weight).reshape(-1), errors.weight.reshape(-1) > 0.0)
@@ -200,11 +220,16 @@ def estimate(
         rows = whiten(whitening(errors, found), samples)
         weight = robust(rows[..., -1], loss, threshold).weight
         spread, step = _profiled((jnp.sqrt(weight)[..., None] * rows).reshape(-1, rows.shape[-1]), prior)
-        left = jnp.concatenate([(residual + columns @ step)[..., None], columns @ spread], axis=-1)
+        moved = residual + columns @ step if moves else residual
+        left = jnp.concatenate([moved[..., None], columns @ spread], axis=-1)
         trusted = trust_of(weight) * (errors.weight > 0.0)
         return jax.lax.fori_loop(0, _STEPS, lambda _, v: _refined(errors, v, left, trusted, calm, expected), found)
 
-    return jax.lax.fori_loop(0, _PASSES, one_pass, Components(middle, large))
+    found = jax.lax.fori_loop(0, _PASSES, one_pass, Components(middle, large))
+    radiance, held = errors.common[..., 0].reshape(-1), errors.weight.reshape(-1) > 0.0
+    wrong = typical_size(residual.reshape(-1) / jnp.where(held, radiance, 1.0), held) > _WRONG
+    none = Components(middle, jnp.where(jnp.isinf(expected.strength), expected.common, 0.0))
+    return jax.tree.map(lambda a, b: jnp.where(wrong, a, b), none, found)
 
 
 def _calm(loss: Loss, threshold):
@@ -241,7 +266,7 @@ def _refined(errors: Errors, found: Components, left, trusted, calm, expected: E
     direction = jnp.max(trusted, axis=1)
     count, samples = jnp.sum(direction), jnp.maximum(jnp.sum(trusted), 1.0)
     by_effect = direction**2 @ square / (calm * jnp.maximum(count, 1.0))
-    mean = jnp.stack([jnp.mean(by_effect[_KIND_OF == k]) for k in range(len(KINDS))]) * found.common**2
+    mean = jnp.stack([jnp.mean(_of_kind(by_effect, k)) for k in range(len(KINDS))]) * found.common**2
     if errors.turned is not None:
         # two independent parts of each sample's own error
         size = 1.0 / jnp.where(weight > 0.0, weight, 1.0) ** 2

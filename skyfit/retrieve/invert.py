@@ -6,10 +6,11 @@ import equinox as eqx
 import numpy as np
 
 from ..measured import NoiseModel, Response, Sky
+from ..numerics import as_float
 from ..numerics.chain import Point
 from ..transport import AbstractSolver
 from .model import SkyModel
-from .parameters import DEFAULT_FREE
+from .parameters import PARAMETERS
 from .prepared import check, first_points, fittable, Prepared, prepared
 from .report import fit_of
 from .result import Fit
@@ -17,9 +18,13 @@ from .retrieve import retrieve
 from .uncertainty import Estimate
 
 
+# of directions that a jackknife leaves out by turns
+_MOST_GROUPS = 100
+
+
 def invert(
     sky: Sky,
-    free: Sequence[str] = DEFAULT_FREE,
+    free: Sequence[str] | None = None,
     solver: AbstractSolver | None = None,
     start: SkyModel | None = None,
     fwhm_nm: float | None = None,
@@ -29,19 +34,21 @@ def invert(
     shared: Sequence[str] = (),
     measurement: NoiseModel | None = None,
     response: Response | None = None,
-    priors: Mapping[str, tuple[float, float]] | None = None,
+    priors: Mapping[str, tuple[float, float] | None] | None = None,
     smooth: Mapping[str, float] | None = None,
     draft: AbstractSolver | None = None,
     guess: bool = True,
     starts: int = 1,
+    jackknife: int = 0,
 ) -> Fit:
     """The parameters of the atmosphere over a measured sky, with uncertainties.
 
     **Arguments**
 
-    - `sky` (`skyfit.read`); `free`, names among `PARAMETERS`; `solver`, default `OrdersOfScattering.normal()`,
-      spherical, polarised for spectral radiance, scalar for the channels of a `response`. The precision is that of the
-      process, float32 unless `jax_enable_x64` is set; `skyfit invert` has the same defaults and computes in float64
+    - `sky` (`skyfit.read`); `free`, names among `PARAMETERS` (default: `skyfit.retrieve.usual_free`, spheres in two
+      modes for spectra); `solver`, default `OrdersOfScattering.normal()`, spherical, polarised for spectral radiance,
+      scalar for the channels of a `response`. The precision is that of the process, float32 unless `jax_enable_x64` is
+      set; `skyfit invert` has the same defaults and computes in float64
     - `start`: the values that are not fitted, and those of the free ones where the search begins; with `guess` the
       haze's begin where single scattering explains the sky best; `starts` - 1 random ones besides
     - `fwhm_nm`: line shape (default: the file's, or estimated from the solar lines); `response`:
@@ -50,8 +57,11 @@ def invert(
       each time is fitted by itself
     - `measurement`: noise, calibration, field of view, outliers (`NoiseModel`)
     - `priors`: name -> (value, sigma) in the parameter's unit; of a positive parameter sigma / value is that of its
-      logarithm. `smooth`: name -> sigma of its change within an hour, on the same scale, for names that are not shared
+      logarithm; None: none, where a parameter has a `climatology`. `smooth`: name -> sigma of its change within an
+      hour, on the same scale, for names that are not shared
     - `draft`: solver of the slopes (default: `solver` itself, which compiles once; a coarser one runs faster)
+    - `jackknife`: in so many groups the directions, in the order of the sky, are left out by turns, from which follows
+      `Fit.jackknife_sigma`; 0: none
     - `max_steps` of each Levenberg-Marquardt search; `progress(done, of)` is called after each time that is fitted by
       itself
 
@@ -68,20 +78,48 @@ def invert(
     if rest is not None:
         asked = prepared(rest, free, solver, start, *settings)
     check(asked)
+    if jackknife != 0 and not 2 <= jackknife <= _MOST_GROUPS:
+        raise ValueError(f"`jackknife` must be 0 or 2 to {_MOST_GROUPS} groups, got {jackknife}")
     times = len(asked.sky.time)
     groups = [np.arange(times)] if asked.shared or asked.linked else [np.array([t]) for t in range(times)]
-    parts = []
+    parts, spreads = [], []
     for number, group in enumerate(groups):
         parts.append(solve(asked, group, first_points(asked, group, guess, starts)))
+        if jackknife:
+            spreads.append(_jackknifed(asked, group, parts[-1], jackknife))
         if progress is not None:
             progress(number + 1, len(groups))
-    return fit_of(asked, groups, parts)
+    return fit_of(asked, groups, parts, spreads)
 
 
-def solve(asked: Prepared, times: np.ndarray, starts: Point) -> Estimate:
-    """The estimate of some times together; another sky of the same shape, or other numbers, compile nothing."""
+def solve(asked: Prepared, times: np.ndarray, starts: Point, kept: np.ndarray | None = None) -> Estimate:
+    """The estimate of some times together; another sky of the same shape, or other numbers, compile nothing.
+
+    **Arguments:** `kept` `[time, direction]`: directions of the problem of these times that count, default all.
+    """
     rows = asked.rows if len(times) == len(asked.sky.time) else asked.rows._replace(step=asked.rows.step[:0])
-    return _retrieve(asked.problem.at(times), asked.start, asked.names, priors=rows, start=starts, **asked.options())
+    problem = asked.problem.at(times)
+    if kept is not None:
+        problem = eqx.tree_at(lambda p: p.weight, problem, problem.weight * as_float(kept)[..., None])
+    return _retrieve(problem, asked.start, asked.names, priors=rows, start=starts, **asked.options())
+
+
+def _jackknifed(asked: Prepared, times: np.ndarray, found: Estimate, groups: int) -> np.ndarray:
+    r"""The spread of the parameters, `[time, parameter]`, as they change where each group of directions is left out.
+
+    $\sigma^2 = \frac{G - 1}{G} \sum_g (x_g - \bar x)^2$, from the end of the whole fit. Groups are neighbours in the
+    sky's order, so that what errs together is left out together.
+    **Source:** Efron 1982, The Jackknife, the Bootstrap and Other Resampling Plans, ch. 3.
+    """
+    held = (np.asarray(asked.problem.weight[times]) > 0.0).any(axis=2)
+    place = np.cumsum(held, axis=1) - 1
+    group = place * groups // np.maximum(held.sum(axis=1, keepdims=True), 1)
+    values = np.asarray(found.values, float)
+    free = np.array([[PARAMETERS[n].unbound(v) for n, v in zip(asked.names, row, strict=True)] for row in values])
+    own = len(asked.own)
+    start = Point(as_float(free[None, :, :own]), as_float(free[:1, own:]))
+    left = [np.asarray(solve(asked, times, start, group != g).values, float) for g in range(groups)]
+    return np.sqrt((groups - 1) * np.var(np.stack(left), axis=0))
 
 
 _retrieve = eqx.filter_jit(retrieve)

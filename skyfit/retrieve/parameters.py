@@ -46,8 +46,9 @@ class Parameter(NamedTuple):
     - `slow`: the same over a day, as the kind of particle and the air are; the amount of haze, the pointing and, under
       a moving sun, what the ground reflects are not
     - `group`: "two lobes" or "particles" of what only a haze of that kind has
-    - `usual`: which sets of parameters that a sky scan determines have it, "lobes" (`DEFAULT_FREE`) or "particles"
+    - `usual`: which sets of parameters that a sky scan determines have it, "lobes" (`LOBES_FREE`) or "particles"
       (`PARTICLE_FREE`)
+    - `climatology`: value and sigma of a prior where the user gives none, for what a scan alone leaves nearly open
     """
 
     name: str
@@ -61,6 +62,7 @@ class Parameter(NamedTuple):
     slow: bool = False
     group: str | None = None
     usual: tuple[str, ...] = ()
+    climatology: tuple[float, float] | None = None
 
     @property
     def of_instrument(self) -> bool:
@@ -159,15 +161,22 @@ _LIST = (
         "coarse_radius", "um", 0.8, 6.0, f"{_HAZE}.coarse_radius", log=True, slow=True, group="particles",
         usual=_PARTICLES,
     ),
-    Parameter("fine_width", "1", 0.3, 0.8, f"{_HAZE}.fine_width", slow=True, group="particles"),
-    Parameter("coarse_width", "1", 0.3, 0.9, f"{_HAZE}.coarse_width", slow=True, group="particles"),
+    # sizes and indices: the spread of AERONET's climatologies (Dubovik et al. 2002, J. Atmos. Sci. 59, 590, table 1)
+    Parameter(
+        "fine_width", "1", 0.3, 0.8, f"{_HAZE}.fine_width", slow=True, group="particles", usual=_PARTICLES,
+        climatology=(0.42, 0.08),
+    ),
+    Parameter(
+        "coarse_width", "1", 0.3, 0.9, f"{_HAZE}.coarse_width", slow=True, group="particles", usual=_PARTICLES,
+        climatology=(0.68, 0.08),
+    ),
     Parameter(
         "refractive_index", "1", 1.33, 1.6, f"{_HAZE}.refractive_index", slow=True, group="particles",
-        usual=_PARTICLES,
+        usual=_PARTICLES, climatology=(1.45, 0.06),
     ),
     Parameter(
         "absorption_index", "1", 1e-4, 0.1, f"{_HAZE}.absorption_index", log=True, slow=True, group="particles",
-        usual=_PARTICLES,
+        usual=_PARTICLES, climatology=(0.006, 0.008),
     ),
     Parameter(
         "aerosol_scale_height", "m", 200.0, 8000.0, f"{_HAZE}.profile.scale_height", log=True, slow=True,
@@ -187,10 +196,12 @@ _LIST = (
     ),
 )  # fmt: skip
 PARAMETERS: dict[str, Parameter] = {p.name: p for p in _LIST}
-# what a sky scan determines, and the pointing that it needs; the same with haze of spheres in two modes of size
-DEFAULT_FREE = tuple(p.name for p in _LIST if "lobes" in p.usual)
+# what a sky scan determines, and the pointing that it needs: with haze of two lobes, and of spheres in two modes
+LOBES_FREE = tuple(p.name for p in _LIST if "lobes" in p.usual)
 PARTICLE_FREE = tuple(p.name for p in _LIST if "particles" in p.usual)
 SLOW = tuple(p.name for p in _LIST if p.slow)
+# where the instrument looked
+POINTING = ("pointing_zenith", "pointing_azimuth")
 
 
 # optical depth of the haze where a fit starts

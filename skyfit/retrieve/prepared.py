@@ -13,16 +13,28 @@ from ..measured.quality.oddities import examine
 from ..numerics import as_float
 from ..numerics.chain import Point
 from ..transport import AbstractSolver, low_sun, OrdersOfScattering
+from .components import Expected
 from .forward import Problem
 from .guess import first_guess
 from .model import SkyModel
-from .parameters import check_free, fixed_values, PARAMETERS, start_model, values_of
+from .parameters import (
+    check_free,
+    fixed_values,
+    LOBES_FREE,
+    PARAMETERS,
+    PARTICLE_FREE,
+    POINTING,
+    start_model,
+    values_of,
+)
 from .residuals import Priors
 from .sampling import Sampling
 
 
 # spread of the logistic numbers of random starts: most of each range, not its ends
 _START_SPREAD = 1.5
+# wavelengths that tell the sizes of particles: so many, and the longest by the shortest
+_MANY_WAVELENGTHS, _WIDE = 3, 1.5
 
 
 @dataclass(frozen=True)
@@ -64,7 +76,8 @@ class Prepared:
 
     def options(self) -> dict:
         """What `retrieve` takes besides the samples, the model, the names and the priors."""
-        given = self.measurement.model_error
+        given, least = self.measurement.model_error, self.measurement.least_scale(self.sky)
+        sizes, strength = self.measurement.shared_errors()
         return {
             "solver": self.solver,
             "slopes": self.slopes,
@@ -73,12 +86,35 @@ class Prepared:
             "threshold": as_float(self.measurement.threshold),
             "model_error": as_float(self.solver.model_error if given is None else given),
             "max_steps": jnp.asarray(self.max_steps),
+            "expected": Expected(as_float(sizes), as_float(strength), as_float(least)),
+            "level": as_float(self.measurement.time_level),
         }
+
+
+def usual_free(sky: Sky) -> tuple[str, ...]:
+    """The names that are free where nobody says: what a sky of this kind determines.
+
+    Spheres in two modes of size where spectral radiance of three wavelengths or more tells of them, for they explain
+    directions that were held out better than two lobes, whose shape no wavelength changes
+    (experiments/validation/error_bars.py); two lobes else, and of a simulated sky whose haze is of lobes. The pointing
+    too, but of an instrument that follows the sun, which knows where it looks.
+    """
+    seen = sky.wavelength_nm[sky.usable.any(axis=(0, 1))]
+    many = sky.response is None and seen.size >= _MANY_WAVELENGTHS and seen.max() > _WIDE * seen.min()
+    if many and "atmosphere" in sky.made_by:
+        many = "fine_fraction" in values_of(_maker(sky), PARTICLE_FREE)
+    names = PARTICLE_FREE if many else LOBES_FREE
+    return names if sky.view_zenith_by_wavelength is None else tuple(n for n in names if n not in POINTING)
+
+
+def _maker(sky: Sky) -> SkyModel:
+    """What a simulated sky says that it was made with."""
+    return SkyModel(from_description(sky.made_by["atmosphere"], "made_by.atmosphere"))
 
 
 def prepared(
     sky: Sky,
-    free: Sequence[str],
+    free: Sequence[str] | None = None,
     solver: AbstractSolver | None = None,
     start: SkyModel | None = None,
     fwhm_nm: float | None = None,
@@ -86,7 +122,7 @@ def prepared(
     shared: Sequence[str] = (),
     measurement: NoiseModel | None = None,
     response: Response | None = None,
-    priors: Mapping[str, tuple[float, float]] | None = None,
+    priors: Mapping[str, tuple[float, float] | None] | None = None,
     smooth: Mapping[str, float] | None = None,
     draft: AbstractSolver | None = None,
 ) -> Prepared:
@@ -94,14 +130,15 @@ def prepared(
 
     **Errors:** `ValueError` for unknown or contradicting names, settings out of range, a sky without a usable sample.
     """
-    free, shared = tuple(free), tuple(shared)
-    sky = sky.with_response(response)
+    sky, shared = sky.with_response(response), tuple(shared)
+    said = free is None
+    free = usual_free(sky) if free is None else tuple(free)
     measurement = NoiseModel() if measurement is None else measurement
     # colours of a camera are told less by polarisation than by what its channels really are
     solver = OrdersOfScattering.normal(polarised=sky.response is None) if solver is None else solver
     start = start_at(sky, free) if start is None else start
     check_free(free, start)
-    known, ties = _checked_priors(dict(priors or {}), free), dict(smooth or {})
+    known, ties = _checked_priors(priors or {}, free), dict(smooth or {})
     _check_shared(shared, ties, free)
     low, high, unit = STATION_RANGES["fwhm_nm"]
     if fwhm_nm is not None and np.isfinite(fwhm_nm) and not low <= fwhm_nm <= high:
@@ -109,6 +146,8 @@ def prepared(
     sampling = Sampling(sky, fwhm_nm, measurement.field_of_view)
     distance = sun_factor(sky)[1]
     sampling.notes += [distance] if distance else []
+    if said and set(free) & set(PARTICLE_FREE) - set(LOBES_FREE):
+        sampling.notes.append("haze of spheres in two modes of size, as a measured spectrum tells: `free` names others")
     sampling.notes += [*_assumed(sky, start, free), *_unlike_its_maker(sky, start, free)]
     chosen = sampling.chosen()
     if chosen.size == 0:
@@ -145,8 +184,7 @@ def _unlike_its_maker(sky: Sky, start: SkyModel, free: tuple[str, ...]) -> Itera
     """What is held fixed at other values than a simulated sky says that it was made with."""
     if "atmosphere" not in sky.made_by:
         return
-    maker = SkyModel(from_description(sky.made_by["atmosphere"], "made_by.atmosphere"))
-    true, held = fixed_values(maker, free), fixed_values(start, free)
+    true, held = fixed_values(_maker(sky), free), fixed_values(start, free)
     other = [n for n in held if n in true and not np.isclose(held[n], true[n], rtol=1e-3, atol=1e-6)]
     if other:
         told = ", ".join(f"{n} {held[n]:.4g} for {true[n]:.4g}" for n in other)
@@ -245,10 +283,15 @@ def _prior_rows(sky: Sky, own, shared, priors: dict, smooth: dict, calibration: 
     return Priors(as_float(centre), as_float(inverse_sigma), scale, as_float(steps))
 
 
-def _checked_priors(priors: dict, free: tuple[str, ...]) -> dict[str, tuple[float, float]]:
-    for name, entry in priors.items():
+def _checked_priors(given: Mapping, free: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    """The priors that are given, and the climatology of what none is given for; None: no prior."""
+    usual = {name: PARAMETERS[name].climatology for name in free}
+    priors = {}
+    for name, entry in {**usual, **given}.items():
         if name not in free:
             raise ValueError(f"`priors` must name free parameters ({', '.join(free)}), got {name!r}")
+        if entry is None:
+            continue
         value, sigma = (float(v) for v in entry)
         parameter = PARAMETERS[name]
         if not (parameter.lower <= value <= parameter.upper and sigma > 0.0 and np.isfinite(sigma)):

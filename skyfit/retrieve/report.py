@@ -16,23 +16,30 @@ from .sampling import scale_at
 from .uncertainty import Estimate
 
 
+# of its own sigma: what is further contradicts the sky
+_FAR_BEAM = 3.0
 _WORDS = ("result", "undetermined", "doubt")
 
 
-def fit_of(asked: Prepared, groups: Sequence[np.ndarray], parts: Sequence[Estimate]) -> Fit:
-    """The estimates of all groups of times as one `Fit`."""
+def fit_of(
+    asked: Prepared, groups: Sequence[np.ndarray], parts: Sequence[Estimate], spreads: Sequence[np.ndarray] = ()
+) -> Fit:
+    """The estimates of all groups of times as one `Fit`; `spreads` of each, by the jackknife, or none."""
     sky = asked.sky
     rows: list[dict] = [{} for _ in sky.time]
-    for group, part in zip(groups, parts, strict=True):
+    for number, (group, part) in enumerate(zip(groups, parts, strict=True)):
         for index, t in enumerate(group):
-            rows[t] = _row(asked, int(t), index, part)
+            rows[t] = _row(asked, int(t), index, part, spreads[number] if spreads else None)
     stack: dict[str, Any] = {key: np.stack([row[key] for row in rows]) for key in rows[0] if key not in _WORDS}
     words: dict[str, Any] = {key: tuple(row[key] for row in rows) for key in _WORDS}
     # a lamp in the view does not make the rest of the fit a poor one
     out = outliers(stack["weight"])
     judged = sky, stack["model"], asked.sampling.used & ~out[..., None]
     beyond = [f"{at_time(sky, t)}{said}" for t, said in enumerate(words.pop("doubt")) if said]
-    notes = (*asked.sampling.notes, *_left_out(sky, out), *doubts(*judged, stack.pop("kept_chi_square")), *beyond)
+    notes = (
+        *asked.sampling.notes, *_days_together(asked), *_left_out(sky, out),
+        *_of_the_beam(asked, stack["beam_residual"]), *doubts(*judged, stack.pop("kept_chi_square")), *beyond,
+    )  # fmt: skip
     pairs = zip(words["result"], poor_fit(*judged), strict=True)
     words["result"] = tuple("poor_fit" if poor and name == "successful" else name for name, poor in pairs)
     return Fit(
@@ -51,6 +58,42 @@ def _left_out(sky: Sky, out: np.ndarray) -> Iterator[str]:
             yield f"{at_time(sky, t)}{count} of {known} directions rejected, the verdict is of the others"
 
 
+def _days_together(asked: Prepared) -> Iterator[str]:
+    """What is the same on several days because nobody said otherwise."""
+    days = np.unique(asked.sky.time[~np.isnat(asked.sky.time)].astype("datetime64[D]"))
+    if days.size > 1 and asked.shared:
+        yield f"{days.size} days share one {', '.join(asked.shared)}"
+
+
+def _of_the_beam(asked: Prepared, residual: np.ndarray) -> Iterator[str]:
+    """Where the direct beam contradicts the sky."""
+    weight = asked.problem.direct_weight
+    for t, row in enumerate(residual):
+        if weight is None or not (np.abs(row) > _FAR_BEAM).any():
+            continue
+        worst = int(np.nanargmax(np.abs(row)))
+        name = f"{asked.sky.wavelength_nm[asked.chosen[worst]]:g} nm"
+        depth = asked.problem.direct_is_depth
+        what = "optical depth" if depth else "direct beam"
+        yield (
+            f"{at_time(asked.sky, t)}the {what} measured at {name} is {abs(row[worst]):.2g} of its sigmas from that of "
+            f"the fit: sky and beam contradict each other"
+        )
+        held = np.isfinite(row)
+        if depth and _as_of_air(asked, held, -row[held] / np.asarray(weight[t], float)[held]):
+            name = at_time(asked.sky, t)
+            yield f"{name}it exceeds the fit's by about what air has: is it the total one, not the haze's?"
+
+
+def _as_of_air(asked: Prepared, held: np.ndarray, excess: np.ndarray) -> bool:
+    """Whether an excess of optical depth at the `held` wavelengths goes with the wavelength as that of the air."""
+    wavelength = as_float(asked.sky.wavelength_nm[asked.chosen[held]])
+    air = np.asarray(asked.start.atmosphere.rayleigh.optical_depth_at(wavelength), float)
+    # least squares of the excess by the air's
+    share, left = excess @ air / (air @ air), excess - air * (excess @ air) / (air @ air)
+    return bool(0.3 < share < 2.0 and np.sum(left**2) < 0.5 * np.sum(excess**2))
+
+
 def _kept_share(residual: np.ndarray, inverse_sigma: np.ndarray, weight: np.ndarray) -> float:
     """Chi-square per sample without the outliers, by that of all samples; `[direction, wavelength]` each."""
     used = inverse_sigma > 0.0
@@ -60,7 +103,7 @@ def _kept_share(residual: np.ndarray, inverse_sigma: np.ndarray, weight: np.ndar
     return float(square[kept].sum() / max(kept.sum(), 1) / whole) if whole > 0.0 else 1.0
 
 
-def _row(asked: Prepared, t: int, index: int, part: Estimate) -> dict:
+def _row(asked: Prepared, t: int, index: int, part: Estimate, spread: np.ndarray | None) -> dict:
     free, order = asked.free, asked.order
     found, change = described_time(free, asked.shared, order, part.values[index], part.noise[index], part.model[index])
     result = result_name(part.result) if bool(part.finite) else "failed"
@@ -83,10 +126,16 @@ def _row(asked: Prepared, t: int, index: int, part: Estimate) -> dict:
     gain[:, place] = np.einsum("pq,qdw->pdw", change, np.asarray(part.gain[index], float)[order][:, held])
     triangle = np.asarray(part.triangle[index], float)[:, order] @ np.abs(change).T
     return found | {
+        "jackknife_sigma": np.full(len(free), np.nan) if spread is None else np.abs(change) @ spread[index][order],
         "model": reading,
         "rmse": float(np.sqrt(np.mean(error**2))),
         "reduced_chi_square": float(part.chi_square[index]),
         "scale": float(part.scale[index]),
+        "common": np.asarray(part.common[index], float),
+        "error_share": np.asarray(part.error_share[index], float),
+        "widening": float(part.widening[index]),
+        "residual_correlation": np.asarray(part.residual_correlation[index], float),
+        "beam_residual": _beam_residual(asked, t, index, part),
         "degrees_of_freedom": float(part.freedom[index]),
         "kept_chi_square": kept_share * float(part.chi_square[index]),
         "weight": weight,
@@ -99,6 +148,15 @@ def _row(asked: Prepared, t: int, index: int, part: Estimate) -> dict:
         "undetermined": in_words(free, found, triangle, asked.priors),
         "doubt": asked.solver.doubt(fitted.atmosphere),
     }
+
+
+def _beam_residual(asked: Prepared, t: int, index: int, part: Estimate) -> np.ndarray:
+    """Model minus measured direct beam over its sigma, `[fitted wavelength]`, NaN where none was measured."""
+    if part.direct is None or asked.problem.direct is None or asked.problem.direct_weight is None:
+        return np.full(asked.chosen.size, np.nan)
+    weight = np.asarray(asked.problem.direct_weight[t], float)
+    off = np.asarray(part.direct[index], float) - np.asarray(asked.problem.direct[t], float)
+    return np.where(weight > 0.0, off * weight, np.nan)
 
 
 def described_time(

@@ -4,15 +4,17 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..measured.noise import Loss
 from ..numerics.chain import Point, reduced, Rows
 from ..transport import AbstractSolver
+from .components import Expected, whiten, Whitening
 from .forward import observe, Problem
 from .loss import robust
 from .model import SkyModel
-from .parameters import PARAMETERS, with_values
+from .parameters import PARAMETERS, POINTING, with_values
 
 
 # whether precision is double: the share of a parameter's range over which slopes are taken, and whether to both sides
@@ -35,12 +37,15 @@ class Choices(NamedTuple):
 class Numbers(NamedTuple):
     """Settings that are traced: another value compiles nothing.
 
-    `threshold` of the loss in standard deviations; `model_error`, relative; `max_steps` of each search.
+    `threshold` of the loss in standard deviations; `model_error`, relative; `max_steps` of each search; `expected`
+    sizes of the errors that the wavelengths of a direction share; `level`, relative, of an error common to a time.
     """
 
     threshold: Float[Array, ""]
     model_error: Float[Array, ""]
     max_steps: Int[Array, ""]
+    expected: Expected
+    level: Float[Array, ""]
 
 
 class Priors(NamedTuple):
@@ -57,11 +62,13 @@ class Priors(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What the solver said at the last point that was accepted; slopes are by the parameters on their scales."""
+    """What the solver said at the last point that was accepted: slopes by the parameters on their scales, and `turn`,
+    those by the instrument's two pointing offsets in radians. Of one time, or with a time axis in front."""
 
-    radiance: Float[Array, "time direction channel"]
-    direct: Float[Array, "time channel"] | None
-    jacobian: Float[Array, "time sample parameter"]
+    radiance: Float[Array, "*time direction channel"]
+    direct: Float[Array, "*time channel"] | None
+    jacobian: Float[Array, "*time sample parameter"]
+    turn: Float[Array, "*time direction channel axis"]
 
 
 def bound(names: tuple[str, ...], free: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
@@ -83,16 +90,41 @@ def _samples(one: Problem, radiance, direct):
     return radiance.reshape(-1) if one.direct is None else jnp.concatenate([radiance.reshape(-1), direct])
 
 
-def whitened(problem: Problem, known: Known, calibration, scale):
-    """Residuals over sigma and weights over all samples of each time, `[time, sample]`, and the model beside them."""
-    model = known.radiance * calibration[None, None]
-    weight = (problem.weight / scale[:, None, None]).reshape(model.shape[0], -1)
-    residual = (model - problem.measured).reshape(model.shape[0], -1)
-    if known.direct is None or problem.direct is None or problem.direct_weight is None:
-        return residual * weight, weight
-    direct = (known.direct - problem.direct) * problem.direct_weight / scale[:, None]
-    weights = jnp.concatenate([weight, problem.direct_weight / scale[:, None]], axis=1)
-    return jnp.concatenate([residual * weight, direct], axis=1), weights
+def to_rows(
+    one: Problem, white: Whitening, samples: Float[Array, "sample column"]
+) -> tuple[Float[Array, "row column"], Float[Array, "beam column"]]:
+    """Samples of one time as rows of size 1: of the sky, by its whitening, and of the direct beam."""
+    directions, channels = one.measured.shape
+    sky, beam = samples[: directions * channels], samples[directions * channels :]
+    rows = whiten(white, sky.reshape(directions, channels, -1))
+    if one.direct_weight is not None:
+        beam = beam * one.direct_weight[:, None]
+    return rows.reshape(-1, rows.shape[2]), beam
+
+
+class Whitened(NamedTuple):
+    """Residuals of one time in independent rows of size 1, after the loss: those of the direct beam are never trusted
+    less. `value`, `slope` and `weight` as in `Robust`; `plain` before the loss."""
+
+    value: Float[Array, " row"]
+    slope: Float[Array, " row"]
+    weight: Float[Array, " row"]
+    plain: Float[Array, " row"]
+
+
+def whitened(choices: Choices, threshold, one: Problem, known: Known, calibration, white: Whitening) -> Whitened:
+    """The residuals of one time."""
+    residual = _samples(one, known.radiance * calibration[None] - one.measured, beam_residual(one, known))
+    sky, beam = to_rows(one, white, residual[:, None])
+    after = robust(sky[:, 0], choices.loss, threshold)
+    ones = jnp.ones_like(beam[:, 0])
+    parts = zip((*after, sky[:, 0]), (beam[:, 0], ones, ones, beam[:, 0]), strict=True)
+    return Whitened(*(jnp.concatenate(part) for part in parts))
+
+
+def beam_residual(one: Problem, known: Known) -> Float[Array, " channel"] | None:
+    """The model's direct beam minus the measured one, or None."""
+    return None if one.direct is None or known.direct is None else known.direct - one.direct
 
 
 def calibration_of(choices: Choices, point: Point, channels: int) -> Float[Array, " channel"]:
@@ -102,58 +134,35 @@ def calibration_of(choices: Choices, point: Point, channels: int) -> Float[Array
     return jnp.ones(channels, point.own.dtype)
 
 
-def rows_of_times(columns, right, by_channel, prior_slope, prior_right):
-    """The rows of all times as few, with a row for the prior of each of a time's own parameters.
+def columns_of(choices: Choices, one: Problem, known: Known, calibration, unit) -> Float[Array, "sample column"]:
+    """The slopes of one time's samples by all that is fitted, own, shared, and the channels' scales last.
 
-    **Arguments:** `columns` `[time, sample, parameter]`, own ones first; `right` `[time, sample, side]`; `by_channel`
-    as in `_reduced_time`, of each time; slopes and right-hand sides of the own parameters' priors.
+    **Arguments:** `unit`, of each parameter, by that on its scale.
+    """
+    columns = known.jacobian * instrument_gain(calibration, one)[:, None] * unit[None]
+    if not choices.calibrated:
+        return columns
+    channels = known.radiance.shape[1]
+    scales = known.radiance[..., None] * jnp.eye(channels, dtype=known.radiance.dtype)[None]
+    scales = scales.reshape(-1, channels)
+    beam = jnp.zeros((columns.shape[0] - scales.shape[0], channels), scales.dtype)
+    return jnp.concatenate([columns, jnp.concatenate([scales, beam])], axis=1)
+
+
+def reduced_rows(choices: Choices, rows, right, slope, prior_right):
+    """One time's rows as few, with a row for the prior of each of its own parameters.
+
+    **Arguments:** `rows` `[row, column]`, columns as of `columns_of`; `right` `[row, side]`; slopes and right-hand
+    sides of the own parameters' priors.
     **Returns:** own, common (the channels' scales last), right.
     """
-    times, count = prior_slope.shape
-
-    def reduced_at(item):
-        columns, right, by_channel = item
-        return _reduced_time(columns[:, :count], columns[:, count:], by_channel, right)
-
-    own, common, reduced_right = jax.vmap(reduced_at)((columns, right, by_channel))
-    diagonal = prior_slope[:, :, None] * jnp.eye(count, dtype=own.dtype)[None]
-    nothing = jnp.zeros((times, count, common.shape[2]), common.dtype)
+    count = len(choices.own)
+    own, common, right = reduced(rows[:, :count], rows[:, count:], right, rows.shape[1] + 1)
+    nothing = jnp.zeros((count, common.shape[1]), common.dtype)
     return (
-        jnp.concatenate([own, diagonal], axis=1),
-        jnp.concatenate([common, nothing], axis=1),
-        jnp.concatenate([reduced_right, prior_right], axis=1),
-    )
-
-
-def _reduced_time(own, common, by_channel, right):
-    """One time's rows as few: each channel's scale touches its own samples only, and goes first.
-
-    `by_channel`: derivative of each sky sample by its channel's scale, `[direction, channel]`, or None. Returns own,
-    common (the channels' scales last) and right-hand sides of a channel's and a parameter's rows.
-    """
-    width = own.shape[1], common.shape[1]
-    count = sum(width) + 1
-    if by_channel is None:
-        return reduced(own, common, right, count)
-    sky, channels = by_channel.size, by_channel.shape[1]
-    everything = jnp.concatenate([own, common, right], axis=1)
-    columns = everything[:sky].reshape(-1, channels, everything.shape[1])
-    length = jnp.sqrt(jnp.sum(by_channel**2, axis=0))
-    unit = by_channel / jnp.where(length > 0.0, length, 1.0)[None]
-    along = jnp.einsum("dc,dcn->cn", unit, columns)
-    across = (columns - unit[..., None] * along[None]).reshape(sky, -1)
-    rest = jnp.concatenate([across, everything[sky:]])
-    rows = reduced(rest[:, : width[0]], rest[:, width[0] : sum(width)], rest[:, sum(width) :], count)
-    nothing = jnp.zeros((count, channels), own.dtype)
-    return (
-        jnp.concatenate([along[:, : width[0]], rows[0]]),
-        jnp.concatenate(
-            [
-                jnp.concatenate([along[:, width[0] : sum(width)], jnp.diag(length)], axis=1),
-                jnp.concatenate([rows[1], nothing], axis=1),
-            ]
-        ),
-        jnp.concatenate([along[:, sum(width) :], rows[2]]),
+        jnp.concatenate([own, jnp.diag(slope)]),
+        jnp.concatenate([common, nothing]),
+        jnp.concatenate([right, prior_right]),
     )
 
 
@@ -171,6 +180,12 @@ def linearised(
     both sides, over more, in single. Values and slopes then are one loop through one copy of the solver: compiling
     forward-mode slopes would take most of a first retrieval.
     """
+    count = len(names)
+    # where the instrument looked moves the samples even if it is not fitted
+    others = [n for n in POINTING if n not in names]
+    names = names + tuple(others)
+    held = [PARAMETERS[n].from_leaf(PARAMETERS[n].leaf(fixed)) for n in others]
+    scaled = jnp.concatenate([scaled, jnp.stack(held).astype(scaled.dtype)]) if others else scaled
     low, high = (jnp.asarray(ends, scaled.dtype) for ends in zip(*(PARAMETERS[n].ends() for n in names), strict=True))
     share, both = _DIFFERENCE[scaled.dtype == jnp.float64]
     step = share * (high - low)
@@ -189,9 +204,10 @@ def linearised(
     every = jax.lax.map(lambda point: read(slopes_by or solver, point), points)
     samples = jax.vmap(lambda sky, beam: _samples(one, sky, beam))(*every)
     radiance, direct = jax.tree.map(lambda v: v[0], every) if slopes_by is None else read(solver, scaled)
-    count = len(names)
-    after, before = samples[1 : count + 1], samples[count + 1 :] if both else samples[:1]
-    return Known(radiance, direct, ((after - before) / (ahead - behind)[:, None]).T)
+    after, before = samples[1 : len(names) + 1], samples[len(names) + 1 :] if both else samples[:1]
+    jacobian = ((after - before) / (ahead - behind)[:, None]).T
+    turn = jnp.stack([jacobian[: radiance.size, names.index(n)] for n in POINTING], axis=-1) * (180.0 / np.pi)
+    return Known(radiance, direct, jacobian[:, :count], turn.reshape(*radiance.shape, len(POINTING)))
 
 
 def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolver | None):
@@ -199,31 +215,24 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
     names, count = choices.names, len(choices.own)
 
     def rows(point: Point, arguments):
-        fixed, problem, priors, scale, threshold = arguments
+        fixed, problem, priors, white, threshold = arguments
         here = jax.lax.stop_gradient(point)
         channels = problem.measured.shape[2]
         shared, calibration = here.shared[: len(choices.shared)], calibration_of(choices, here, channels)
-
-        def known_at(item):
-            own, one = item
-            scaled, slope = _with_slope(names, jnp.concatenate([own, shared]))
-            return linearised(names, solver, slopes_by, fixed, scaled, one), slope
-
-        known, slopes = jax.lax.map(known_at, (here.own, problem))
-        residual, weight = whitened(problem, known, calibration, scale)
-        after = robust(residual, choices.loss, threshold)
-        by_value = known.jacobian * (after.slope * weight * instrument_gain(calibration, problem))[..., None]
-        by_channel = None
-        if choices.calibrated:
-            by_channel = known.radiance * (after.slope * weight)[:, : known.radiance[0].size].reshape(
-                known.radiance.shape
-            )
         scaled, steep = jax.vmap(lambda own: _with_slope(choices.own, own))(here.own) if count else (here.own, here.own)
         prior = (scaled - priors.centre[None, :count]) * priors.inverse_sigma[None, :count]
-        own, common, right = rows_of_times(
-            by_value * slopes[:, None], after.value[..., None], by_channel, steep * priors.inverse_sigma[None, :count],
-            prior[..., None],
-        )  # fmt: skip
+        tight = steep * priors.inverse_sigma[None, :count]
+
+        def at(item):
+            own, one, white, tight, prior = item
+            scaled, slope = _with_slope(names, jnp.concatenate([own, shared]))
+            known = linearised(names, solver, slopes_by, fixed, scaled, one)
+            after = whitened(choices, threshold, one, known, calibration, white)
+            columns = jnp.concatenate(to_rows(one, white, columns_of(choices, one, known, calibration, slope)))
+            columns = columns * after.slope[:, None]
+            return reduced_rows(choices, columns, after.value[:, None], tight, prior[:, None]), known
+
+        (own, common, right), known = jax.lax.map(at, (here.own, problem, white, tight, prior))
         step = (scaled[1:] - scaled[:-1]) * priors.step
         shared_value, shared_slope = shared_priors(choices, here.shared, priors)
         move = jax.tree.map(jnp.subtract, point, here)
@@ -234,12 +243,10 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
     return rows
 
 
-def instrument_gain(calibration, problem: Problem):
-    """The instrument's scale of every sample, 1 for the direct beam."""
-    sky = jnp.broadcast_to(calibration[None], problem.measured.shape[1:]).reshape(-1)
-    if problem.direct is None:
-        return sky[None]
-    return jnp.concatenate([sky, jnp.ones(problem.direct.shape[1], sky.dtype)])[None]
+def instrument_gain(calibration, one: Problem) -> Float[Array, " sample"]:
+    """The instrument's scale of every sample of one time, 1 for the direct beam."""
+    sky = jnp.broadcast_to(calibration[None], one.measured.shape).reshape(-1)
+    return sky if one.direct is None else jnp.concatenate([sky, jnp.ones(one.direct.shape[0], sky.dtype)])
 
 
 def shared_priors(choices: Choices, shared, priors: Priors):
@@ -258,9 +265,9 @@ def shared_priors(choices: Choices, shared, priors: Priors):
     )
 
 
-def cost(choices: Choices, numbers: Numbers, priors: Priors, point: Point, residual) -> Float[Array, ""]:
-    """Half the sum of squares after the loss, priors included."""
-    total = jnp.sum(robust(residual, choices.loss, numbers.threshold).value ** 2)
+def cost(choices: Choices, priors: Priors, point: Point, residual) -> Float[Array, ""]:
+    """Half the sum of squares after the loss, `residual`, priors included."""
+    total = jnp.sum(residual**2)
     count = len(choices.own)
     if count:
         scaled = jax.vmap(lambda own: on_scale(choices.own, own))(point.own)

@@ -34,14 +34,22 @@ class Fit:
 
     - `values`, `sigma`, `at_bound`, `determined` are `[time, parameter]` in the order of `free`, units as in
       `PARAMETERS`; `covariance` `[time, parameter, parameter]`. Those of `shared` are the same at all times
-    - `sigma` holds noise, `scale` `[time]` times what was stated where the residuals are larger, priors, and
-      `model_sigma`, the part of the model's stated error; `reduced_chi_square` `[time]` is of all samples and
-      the stated noise
+    - `sigma` holds noise of all kinds, priors, and `model_sigma`, the part of the model's stated error;
+      `reduced_chi_square` `[time]` is of all samples and the stated noise
+    - the kinds of noise: `scale` `[time]`, the samples' own, in what was stated; `common` `[time, kind]`, what all
+      wavelengths of a direction share: relative level and colour, and pointing in radians; `error_share` `[time,
+      kind]`, of the samples' own and of each of these in the squares of all; `widening` `[time]`, by how much sigma is
+      more than these say, because samples are trusted less
+    - `residual_correlation` `[time, 2]` of what is left beyond them, with the next wavelength and the nearest direction
+    - `beam_residual` `[time, fitted wavelength]`: model minus measured direct beam (or optical depth) over its sigma,
+      NaN where none was measured
     - `model` is what the instrument would read of the fitted sky on the input's times, directions and wavelengths;
       `rmse` `[time]` is over usable samples, W m^-2 sr^-1 nm^-1
     - `weight` `[time, direction, fitted wavelength]`: 1, less for samples that the loss trusts less, NaN where not used
     - `gain` `[time, parameter, direction, fitted wavelength]`: change of a parameter by that of a sample of its time
     - `calibration`, `calibration_sigma` `[time, fitted wavelength]`: the instrument's scale, 1 where it is not fitted
+    - `jackknife_sigma` `[time, parameter]`: the error by noise as groups of directions show it that are left out by
+      turns, which assumes nothing of the noise; NaN where it was not asked for
     - `degrees_of_freedom` `[time]`: how many parameters the data, not the priors, determine
     - `result` says how each solve ended; `undetermined` `[time]` names in words what the data leave open
     """
@@ -53,6 +61,7 @@ class Fit:
     sigma: np.ndarray
     covariance: np.ndarray
     model_sigma: np.ndarray
+    jackknife_sigma: np.ndarray
     at_bound: np.ndarray
     determined: np.ndarray
     model: np.ndarray
@@ -60,6 +69,11 @@ class Fit:
     rmse: np.ndarray
     reduced_chi_square: np.ndarray
     scale: np.ndarray
+    common: np.ndarray
+    error_share: np.ndarray
+    widening: np.ndarray
+    residual_correlation: np.ndarray
+    beam_residual: np.ndarray
     degrees_of_freedom: np.ndarray
     weight: np.ndarray
     gain: np.ndarray

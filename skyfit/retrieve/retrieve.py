@@ -11,11 +11,12 @@ from ..measured.noise import Loss
 from ..numerics.chain import minimise, Point
 from ..numerics.least_squares import LOGISTIC_LIMIT
 from ..transport import AbstractSolver
+from .components import Expected, independent, KINDS
 from .forward import Problem
 from .model import SkyModel
-from .parameters import PARAMETERS, partition
+from .parameters import PARAMETERS, partition, POINTING
 from .residuals import calibration_of, Choices, cost, Known, Numbers, objective, Priors, whitened
-from .uncertainty import described, End, Estimate, noise_scale
+from .uncertainty import components_at, described, End, Estimate, whitening_at
 
 
 def retrieve(
@@ -32,6 +33,8 @@ def retrieve(
     threshold=3.0,
     model_error=0.0,
     max_steps=100,
+    expected: Expected | None = None,
+    level=0.0,
 ) -> Estimate:
     """The parameters of some times of a sky and their covariance: pure, for `jit`, `vmap` and `grad`.
 
@@ -41,8 +44,9 @@ def retrieve(
     `shared`, the free names that all times have in common; `priors` in the order (each time's own, shared); `start`,
     unconstrained numbers in that order, `own` `[start, time, parameter]` and `shared` `[start, shared]` (default: the
     model's values): the search goes from each of them, and once more from the best end with the noise that it left;
-    `loss` beyond `threshold` standard deviations; `model_error`, relative; `max_steps` of each search. Numbers may be
-    traced, names and solvers are static.
+    `loss` beyond `threshold` standard deviations; `model_error`, relative; `max_steps` of each search; `expected` sizes
+    of the errors that the wavelengths of a direction share (default: none are); `level`, the relative size of an error
+    that a whole time shares. Numbers may be traced, names and solvers are static.
     **Returns:** an `Estimate`, parameters in the order of `free`. Nothing is raised: `result` and `finite` tell.
     **Valid:** the cost is linear in the number of times. The derivative by the samples and by what is fixed is that of
     Gauss-Newton: exact where the residuals vanish, off by their share otherwise; `gain` is the one by the samples.
@@ -61,7 +65,12 @@ def retrieve(
         point = jnp.stack([PARAMETERS[n].free_of(model) for n in choices.names]).astype(dtype)
         own, common = point[: len(choices.own)], point[len(choices.own) :]
         start = Point(jnp.broadcast_to(own, (1, times, own.size)), common[None])
-    numbers = Numbers(*(jnp.asarray(v) for v in (threshold, model_error, max_steps)))
+    if expected is None:
+        none = jnp.zeros(len(KINDS), dtype)
+        expected = Expected(none, none + jnp.inf, jnp.ones((), dtype))
+    numbers = Numbers(
+        jnp.asarray(threshold), jnp.asarray(model_error), jnp.asarray(max_steps), expected, jnp.asarray(level)
+    )
     _, fixed = partition(model, free)
     slopes = None if slopes == solver else slopes
     end = search(choices, numbers, (solver, slopes), fixed, problem, priors, start)
@@ -94,19 +103,26 @@ def search(
     dtype = problem.measured.dtype
     box = jnp.concatenate([jnp.full(len(choices.shared), LOGISTIC_LIMIT), jnp.full(none, jnp.inf)])
     limit = Point(jnp.full(starts.own.shape[1:], LOGISTIC_LIMIT, dtype), box.astype(dtype))
-    ones = jnp.ones(problem.measured.shape[0], dtype)
     rows = objective(choices, *solvers)
 
-    def plain(point, known):
-        return whitened(problem, known, calibration_of(choices, point, channels), ones)
+    def left(end: End):
+        return whitening_at(problem, end.known, components_at(choices, numbers, problem, priors, end))
+
+    def total_of(point, known, white):
+        calibration = calibration_of(choices, point, channels)
+        after = jax.lax.map(
+            lambda item: whitened(choices, numbers.threshold, item[0], item[1], calibration, item[2]).value,
+            (problem, known, white),
+        )
+        return cost(choices, priors, point, after)
 
     def one(best: End, item):
         begin, last = item
         begin = jax.tree.map(lambda a, b: jnp.where(last, a, b), best.point, begin)
-        scale = jnp.where(last, noise_scale(choices, *plain(best.point, best.known)), ones)
-        arguments = fixed, problem, priors, scale, numbers.threshold
+        white = jax.lax.cond(last, left, lambda _: jax.vmap(independent)(problem.weight), best)
+        arguments = fixed, problem, priors, white, numbers.threshold
         point, known, steps, result = minimise(rows, begin, arguments, limit, none, numbers.max_steps)
-        total = cost(choices, numbers, priors, point, plain(point, known)[0])
+        total = total_of(point, known, white)
         total = jnp.where(jnp.isfinite(total), total, jnp.inf)
         end = End(point, known, total, best.steps + steps, result)
         better = last | (total < best.cost)
@@ -121,6 +137,7 @@ def search(
         jnp.zeros_like(problem.measured),
         None if problem.direct is None else jnp.zeros_like(problem.direct),
         jnp.zeros((times, samples, len(choices.names)), dtype),
+        jnp.zeros((*problem.measured.shape, len(POINTING)), dtype),
     )
     best = End(first, nothing, jnp.array(jnp.inf, dtype), jnp.array(0), optx.RESULTS.successful)
     items = jax.tree.map(lambda v: jnp.concatenate([v, v[:1]]), begins)

@@ -9,19 +9,36 @@ from jaxtyping import Array, Bool, Float, Int
 from ..numerics import as_float, triangle
 from ..numerics.chain import Blocks, damped, marginal_rows, Point, solve_chain
 from ..numerics.least_squares import covariance
+from ..scene import angle_between
+from .components import (
+    COMMON,
+    Components,
+    errors_of,
+    estimate,
+    joined,
+    share_of,
+    trust_of,
+    unwhiten,
+    Whitening,
+    whitening,
+)
 from .forward import Problem
-from .loss import robust, typical_size
+from .loss import robust
 from .model_error import model_errors
 from .parameters import PARAMETERS
 from .residuals import (
+    beam_residual,
     bound,
     calibration_of,
     Choices,
+    columns_of,
     instrument_gain,
     Known,
     Numbers,
     Priors,
-    rows_of_times,
+    reduced_rows,
+    to_rows,
+    Whitened,
     whitened,
 )
 
@@ -36,11 +53,14 @@ class Estimate(NamedTuple):
     """The outcome for some times; arrays only, so that it passes through jit and vmap.
 
     `values` and covariances are in the order of the free names, in the parameters' stated units. `noise` is the
-    covariance by noise, priors included, already widened by `scale` squared; `model` that by the model's stated error.
-    `chi_square` is of all samples, those that the loss trusts less too. `triangle` has the scaled Jacobian's singular
-    values.
-    `radiance`: what the instrument would read of the end. `gain`: d parameter / d radiance of the same time. `cost`:
-    half the sum of squares after the loss.
+    covariance by noise of all kinds, priors included, `model` that by the model's stated error and that of a whole
+    time's level. `triangle` has the scaled Jacobian's singular values.
+    `scale`: the samples' own noise over what is stated; `common`: that of directions, in the order of `KINDS`;
+    `widening`: by how much more `noise` is widened, because the loss trusts some less; `chi_square` is of all samples
+    and the stated noise. `error_share` of each kind of error, the samples' own first, in the squares of all together.
+    `residual_correlation` of what is left, between neighbours in wavelength and in direction.
+    `radiance`, `direct`: what the instrument would read of the end. `gain`: d parameter / d radiance of the same time.
+    `cost`: half the sum of squares after the loss.
     """
 
     values: Float[Array, "time parameter"]
@@ -52,6 +72,11 @@ class Estimate(NamedTuple):
     gain: Float[Array, "time parameter direction channel"]
     weight: Float[Array, "time direction channel"]
     scale: Float[Array, " time"]
+    common: Float[Array, "time kind"]
+    widening: Float[Array, " time"]
+    error_share: Float[Array, "time kind"]
+    residual_correlation: Float[Array, "time neighbour"]
+    direct: Float[Array, "time channel"] | None
     chi_square: Float[Array, " time"]
     calibration: Float[Array, " channel"]
     calibration_sigma: Float[Array, " channel"]
@@ -71,24 +96,50 @@ class End(NamedTuple):
     result: Any
 
 
-def noise_scale(choices: Choices, residual, weight) -> Float[Array, " time"]:
-    """How many times the stated sigma the residuals are, per time, 1 at least."""
-    if choices.loss == "squares":
-        scale = jnp.sqrt(_chi_square(choices, residual, weight))
-    else:
-        scale = typical_size(residual, weight > 0.0)
-    return jnp.where(scale > 1.0, scale, 1.0)
+def components_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Priors, end: End) -> Components:
+    """The sizes of each time's errors that the residuals of an end show; no slope goes through them.
+
+    What times share or are tied by is no single time's to move: where they contradict, that is an error of the samples.
+    """
+    alone = problem.measured.shape[0] == 1
+    calibration = calibration_of(choices, end.point, problem.measured.shape[2])
+    # the slopes are by what stands on the parameters' scales
+    prior = priors.inverse_sigma
+    if choices.calibrated:
+        exact = jnp.broadcast_to(jnp.asarray(priors.calibration, prior.dtype), calibration.shape)
+        prior = jnp.concatenate([prior, exact])
+
+    mine = prior.size if alone else len(choices.own)
+
+    def at(item):
+        one, known = item
+        columns = columns_of(choices, one, known, calibration, jnp.ones_like(priors.inverse_sigma))
+        sky = columns[: one.measured.size, :mine].reshape(*one.measured.shape, -1)
+        residual = known.radiance * calibration[None] - one.measured
+        errors = errors_of(one, known.radiance, known.turn)
+        return estimate(errors, residual, sky, prior[:mine], numbers.expected, choices.loss, numbers.threshold, alone)
+
+    return jax.lax.map(at, jax.lax.stop_gradient((problem, end.known)))
 
 
-def _chi_square(choices: Choices, residual, weight):
-    """Reduced, per time: the shared parameters count with their share of each."""
-    samples = jnp.sum(weight > 0.0, axis=1)
-    known = len(choices.own) + len(choices.shared) / residual.shape[0]
-    return jnp.sum(jnp.where(weight > 0.0, residual**2, 0.0), axis=1) / jnp.maximum(samples - known, 1.0)
+def whitening_at(problem: Problem, known: Known, found: Components) -> Whitening:
+    """The whitening of all times for errors of these sizes."""
+
+    def at(item):
+        one, known, found = item
+        return whitening(errors_of(one, known.radiance, known.turn), found)
+
+    return jax.lax.stop_gradient(jax.lax.map(at, (problem, known, found)))
 
 
-def _widening(choices: Choices, numbers: Numbers, residual, weight):
-    r"""How much wider than $(J^T W J)^{-1/2}$ the error is, per time; for squares the root of the reduced chi-square.
+def _chi_square(choices: Choices, square, held):
+    """Reduced, of one time: the shared parameters count with their share of each."""
+    known = len(choices.own) + len(choices.shared) / held[1]
+    return jnp.sum(square) / jnp.maximum(held[0] - known, 1.0)
+
+
+def _widening(choices: Choices, threshold, after: Whitened, held):
+    r"""How much wider than $(J^T W J)^{-1/2}$ the error of one time is, 1 at least.
 
     $[\overline{\psi^2}\, \overline{w}]^{1/2} / \overline{\psi'}$ with the influence $\psi = w z$ of a residual: what is
     far off counts with its bounded influence, not with its size.
@@ -96,18 +147,37 @@ def _widening(choices: Choices, numbers: Numbers, residual, weight):
     """
 
     def influence(residual):
-        trust = robust(residual, choices.loss, numbers.threshold).weight
-        return trust * residual, trust
+        trust = robust(residual, choices.loss, threshold).weight
+        return trust * residual
 
-    (psi, trust), (slope, _) = jax.jvp(influence, (residual,), (jnp.ones_like(residual),))
-    held = weight > 0.0
-    count = jnp.maximum(jnp.sum(held, axis=1), 1)
+    sky = after.plain
+    psi, slope = jax.jvp(influence, (sky,), (jnp.ones_like(sky),))
+    rows = jnp.maximum(jnp.sum(sky != 0.0), 1)
 
     def mean(values):
-        return jnp.sum(jnp.where(held, values, 0.0), axis=1) / count
+        return jnp.sum(jnp.where(sky != 0.0, values, 0.0)) / rows
 
     # where most are far off nothing holds, but finite it is
-    return jnp.sqrt(_chi_square(choices, psi, weight) * mean(trust)) / jnp.maximum(mean(slope), _LEAST_SLOPE)
+    trust = robust(sky, choices.loss, threshold).weight
+    wide = jnp.sqrt(_chi_square(choices, psi**2, held) * mean(trust)) / jnp.maximum(mean(slope), _LEAST_SLOPE)
+    return jnp.where(wide > 1.0, wide, 1.0)
+
+
+def _correlation(one: Problem, white: Whitening, rows) -> Float[Array, " neighbour"]:
+    """Of whitened residuals with the next wavelength, and with the nearest direction."""
+    value = joined(white, rows)
+    held = one.weight > 0.0
+    beside = held[:, 1:] & held[:, :-1]
+    spectral = jnp.sum(jnp.where(beside, value[:, 1:] * value[:, :-1], 0.0)) / jnp.maximum(jnp.sum(beside), 1)
+    zenith, azimuth = one.mean_view()
+    angle = angle_between(zenith[:, None], zenith[None], azimuth[:, None] - azimuth[None])
+    some = jnp.any(held, axis=1)
+    same = jnp.eye(zenith.size, dtype=bool) | ~some[None]
+    nearest = jnp.argmin(jnp.where(same, jnp.inf, angle), axis=1)
+    both = held & held[nearest]
+    angular = jnp.sum(jnp.where(both, value * value[nearest], 0.0)) / jnp.maximum(jnp.sum(both), 1)
+    size = jnp.sum(jnp.where(held, value**2, 0.0)) / jnp.maximum(jnp.sum(held), 1)
+    return jnp.stack([spectral, angular]) / jnp.where(size > 0.0, size, 1.0)
 
 
 def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Priors, found: End) -> Estimate:
@@ -118,28 +188,46 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     shared = jnp.broadcast_to(end.shared[None, : len(choices.shared)], (times, len(choices.shared)))
     values = jax.vmap(lambda free: bound(names, free))(jnp.concatenate([end.own, shared], axis=1))
     calibration = calibration_of(choices, end, channels)
-    raw, raw_weight = whitened(problem, known, calibration, jnp.ones(times, values.dtype))
-    scale = noise_scale(choices, raw, raw_weight)
-    trust = robust(raw / scale[:, None], choices.loss, numbers.threshold).weight
-    plain = _chi_square(choices, raw, raw_weight)
-    scale = jnp.maximum(scale * _widening(choices, numbers, raw / scale[:, None], raw_weight), 1.0)
-    weight = jnp.sqrt(trust) * raw_weight / scale[:, None]
+    sizes = components_at(choices, numbers, problem, priors, found)
+    white = whitening_at(problem, known, sizes)
+    shares = jax.lax.map(
+        lambda item: share_of(errors_of(item[0], item[1].radiance, item[1].turn), item[2]), (problem, known, sizes)
+    )
     log = jnp.asarray([PARAMETERS[n].log for n in names])
     spread = jnp.where(log[None], values, as_float([PARAMETERS[n].spread(1.0) for n in names])[None])
-    instrument = instrument_gain(calibration, problem)
     # a unit on the parameter's scale is one e-fold, or the range
     unit = jnp.where(log, 1.0, as_float([PARAMETERS[n].spread(1.0) for n in names]))
-    columns = known.jacobian * (weight * instrument)[..., None] * unit[None, None]
-    by_channel = None
-    if choices.calibrated:
-        by_channel = known.radiance * weight[:, : directions * channels].reshape(problem.measured.shape)
-    errors = numbers.model_error * model_errors(problem, known.radiance) * (weight * instrument)[..., None]
     tight = unit * priors.inverse_sigma
+    errors = model_errors(problem, known.radiance) * numbers.model_error
+    level = numbers.level * jnp.where(jnp.arange(errors.shape[1]) < directions * channels, 1.0, 0.0)
+    level = level[None] * _with_beam(known.radiance.reshape(times, -1), errors.shape[1])
+    errors = jnp.concatenate([errors, level[..., None]], axis=2)
     side = errors.shape[2]
-    own, common, right = rows_of_times(
-        columns, errors, by_channel, jnp.broadcast_to(tight[None, :own_count], (times, own_count)),
-        jnp.zeros((times, own_count, side), errors.dtype),
-    )  # fmt: skip
+
+    def at(item):
+        one, known, white, errors = item
+        after = whitened(choices, numbers.threshold, one, known, calibration, white)
+        samples = jnp.sum(one.weight > 0.0) + (0 if one.direct_weight is None else jnp.sum(one.direct_weight > 0.0))
+        held = samples, times
+        wide = _widening(choices, numbers.threshold, after, held)
+        stated = jnp.sum((known.radiance * calibration[None] - one.measured) ** 2 * one.weight**2)
+        beam = beam_residual(one, known)
+        if beam is not None and one.direct_weight is not None:
+            stated += jnp.sum((beam * one.direct_weight) ** 2)
+        columns = columns_of(choices, one, known, calibration, unit)
+        gain = instrument_gain(calibration, one)[:, None]
+        rows = jnp.concatenate(to_rows(one, white, jnp.concatenate([columns, errors * gain], axis=1)))
+        rows = rows * (jnp.sqrt(after.weight) / wide)[:, None]
+        columns, right = rows[:, : columns.shape[1]], rows[:, columns.shape[1] :]
+        tied = tight[:own_count]
+        parts = reduced_rows(choices, columns, right, tied, jnp.zeros((own_count, side), rows.dtype))
+        sky = (directions, COMMON + channels)
+        plain, weight = (v[: sky[0] * sky[1]].reshape(sky) for v in (after.plain, after.weight))
+        told = wide, _chi_square(choices, stated, held), _correlation(one, white, plain), trust_of(weight)
+        return parts, told, columns, after.weight
+
+    (own, common, right), told, columns, trust = jax.lax.map(at, (problem, known, white, errors))
+    wide, chi_square, correlation, weight = told
     scales = common.shape[2] - len(choices.shared)
     exact = 0.0 if priors.calibration is None else priors.calibration
     prior = jnp.diag(jnp.concatenate([tight[own_count:], jnp.full(scales, exact, tight.dtype)]))
@@ -168,11 +256,14 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     )
     shift = shift * spread[..., None]
     both = spread[:, :, None] * spread[:, None, :]
-    by_sample = jnp.einsum("tpq,tsq->tps", spreads[:, :count, :count], columns)[..., : directions * channels]
-    gain = by_sample.reshape(times, count, directions, channels)
-    if choices.calibrated:
-        gain = gain + jnp.einsum("tpc,tdc->tpdc", spreads[:, :count, count:], by_channel)
-    sky_weight = weight[:, : directions * channels].reshape(problem.measured.shape)
+
+    def gain_at(item):
+        spreads, columns, trust, wide, white = item
+        rows = (columns * (jnp.sqrt(trust) / wide)[:, None]) @ spreads[:, :count]
+        rows = rows[: directions * (COMMON + channels)].reshape(directions, COMMON + channels, count)
+        return jnp.moveaxis(unwhiten(white, rows), -1, 0)
+
+    gain = jax.lax.map(gain_at, (spreads, columns, trust, wide, white))
     deviations = jnp.diagonal(spreads, axis1=1, axis2=2)
     freedom = jnp.clip(1.0 - tight[None] ** 2 * deviations[:, :count], 0.0, 1.0)
     freedom = jnp.sum(jnp.where(jnp.isfinite(deviations[:, :count]), freedom, 0.0), axis=1)
@@ -184,10 +275,15 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
         triangles,
         freedom,
         known.radiance * calibration[None, None],
-        gain * sky_weight[:, None] * spread[:, :, None, None],
-        trust[:, : directions * channels].reshape(problem.measured.shape),
-        scale,
-        plain,
+        gain * spread[:, :, None, None],
+        weight,
+        sizes.sample,
+        sizes.common,
+        wide,
+        shares,
+        correlation,
+        known.direct,
+        chi_square,
         calibration,
         scales_sigma,
         found.cost,
@@ -195,3 +291,8 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
         jnp.all(jnp.isfinite(values)) & jnp.isfinite(found.cost),
         found.result,
     )
+
+
+def _with_beam(radiance, samples: int):
+    """Samples of the sky with empty ones of the beam."""
+    return jnp.pad(radiance, ((0, 0), (0, samples - radiance.shape[1])))

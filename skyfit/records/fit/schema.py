@@ -1,9 +1,9 @@
 r"""The form of a fit's JSON record, and the check that a file has it.
 
 `skyfit.save(fit, "*.json")` writes strict JSON (UTF-8; what is not finite is null) of the schema
-"skyfit.fit", version 3. Angles are in degrees, azimuth clockwise from north; a value has its unit beside it.
+"skyfit.fit", version 4. Angles are in degrees, azimuth clockwise from north; a value has its unit beside it.
 
-    schema, version       "skyfit.fit", 3
+    schema, version       "skyfit.fit", 4
     skyfit_version        of the package that wrote the file, or null
     source                name of the measured file
     solver                name: class in skyfit.transport; then all its settings by name
@@ -16,13 +16,14 @@ r"""The form of a fit's JSON record, and the check that a file has it.
     atmosphere            where the fit began, as skyfit/atmosphere/description.py documents: constituents by name with
                           kind and every number, and ground; what is free has its first guess here
     measurement           relative, floor, calibration (null: by the file, else the default), model_error,
-                          field_of_view_deg, loss, threshold as in skyfit.NoiseModel;
+                          field_of_view_deg, loss, threshold, level, colour, pointing_deg (null: estimated) and
+                          time_level as in skyfit.NoiseModel;
                           calibration_prior: sigma of each wavelength's scale that the fit took, 0: exact
     priors                name: {value, sigma, unit}
     smooth                name: {sigma_per_hour, unit}; of a positive parameter that of its logarithm, unit "1"
     free                  names of the fitted parameters, in the order of each correlation matrix
     shared                what all times have in common
-      parameters          name: {value, unit, sigma, model_sigma, at_bound, determined}
+      parameters          name: {value, unit, sigma, model_sigma, jackknife_sigma (or null), at_bound, determined}
       correlation         [parameter][parameter] of these alone, in the order of `free`
     fixed                 name: {value, unit}, those of the atmosphere as it stands above
     calibration           the instrument's scale at the fitted wavelengths; 1 and sigma 0 where it was not fitted
@@ -39,7 +40,13 @@ r"""The form of a fit's JSON record, and the check that a file has it.
       samples             how many those are
       masked              reason: count of the others
       reduced_chi_square  by the stated noise
-      scale               how many times the stated noise sigma is of
+      noise               the errors of this time as the residuals show them
+        sample            each sample's own, in the stated noise
+        level, colour, pointing_deg    what all wavelengths of a direction share: relative, and where it looked
+        widening          by how much sigma is more, because samples are trusted less
+        share             of sample, level, colour, pointing in the squares of all
+        spectral_correlation, angular_correlation      of what is left, with the next wavelength and direction
+      beam                the direct beam, or []: wavelength_nm, residual (model minus measured, over sigma)
       degrees_of_freedom  how many parameters the data, not the priors, determine
       rejected            directions that the loss trusts less than half: view_zenith_deg, view_azimuth_deg,
                           weight (mean over wavelengths)
@@ -52,13 +59,15 @@ import json
 from pathlib import Path
 
 
-SCHEMA, VERSION = "skyfit.fit", 3
+SCHEMA, VERSION = "skyfit.fit", 4
 _NUMBER, _TEXT, _COUNT, _FLAG = "a number", "text", "a count", "true or false"
 _NUMBER_OR_NULL, _TEXT_OR_NULL, _OBJECT_OR_NULL = "a number or null", "text or null", "an object or null"
 _FITTED = {
-    "value": _NUMBER, "unit": _TEXT, "sigma": _NUMBER_OR_NULL, "model_sigma": _NUMBER_OR_NULL, "at_bound": _FLAG,
+    "value": _NUMBER, "unit": _TEXT, "sigma": _NUMBER_OR_NULL, "model_sigma": _NUMBER_OR_NULL,
+    "jackknife_sigma": _NUMBER_OR_NULL, "at_bound": _FLAG,
     "determined": _FLAG,
 }  # fmt: skip
+_SHARED_NOISE = "level", "colour", "pointing_deg"
 # a dict lists the keys that must be there; one of `_ANY` holds any keys, each of that form
 _ANY = "*"
 _FORM = {
@@ -72,8 +81,8 @@ _FORM = {
     "station": dict.fromkeys(("latitude_deg", "longitude_deg", "altitude_m", "pressure_pa"), _NUMBER_OR_NULL),
     "atmosphere": {"constituents": {_ANY: {"kind": _TEXT}}, "ground": {}},
     "measurement": {
-        **dict.fromkeys(("relative", "floor", "calibration"), _NUMBER_OR_NULL),
-        **dict.fromkeys(("calibration_prior", "model_error", "field_of_view_deg", "threshold"), _NUMBER),
+        **dict.fromkeys(("relative", "floor", "calibration", *_SHARED_NOISE), _NUMBER_OR_NULL),
+        **dict.fromkeys(("calibration_prior", "model_error", "field_of_view_deg", "threshold", "time_level"), _NUMBER),
         "loss": _TEXT,
     },
     "priors": {_ANY: {"value": _NUMBER, "sigma": _NUMBER, "unit": _TEXT}},
@@ -97,7 +106,14 @@ _FORM = {
             "samples": _COUNT,
             "masked": {_ANY: _COUNT},
             "reduced_chi_square": _NUMBER_OR_NULL,
-            "scale": _NUMBER_OR_NULL,
+            "noise": {
+                **dict.fromkeys(
+                    ("sample", *_SHARED_NOISE, "widening", "spectral_correlation", "angular_correlation"),
+                    _NUMBER_OR_NULL,
+                ),
+                "share": dict.fromkeys(("sample", "level", "colour", "pointing"), _NUMBER_OR_NULL),
+            },
+            "beam": [{"wavelength_nm": _NUMBER, "residual": _NUMBER}],
             "degrees_of_freedom": _NUMBER_OR_NULL,
             "rejected": [dict.fromkeys(("view_zenith_deg", "view_azimuth_deg", "weight"), _NUMBER)],
             "undetermined": [_TEXT],
@@ -127,7 +143,7 @@ def parse(path: Path) -> dict:
         found = record.get("schema") if isinstance(record, dict) else None
         raise ValueError(f'key `schema`: expected "{SCHEMA}", found {shown(found)}')
     if record.get("version") != VERSION:
-        advice = ", of an older skyfit: fit the sky again with it" if record.get("version") in (1, 2) else ""
+        advice = ", of an older skyfit: fit the sky again with it" if record.get("version") in (1, 2, 3) else ""
         raise ValueError(f"key `version`: expected {VERSION}, found {shown(record.get('version'))}{advice}")
     _check(record, _FORM, "")
     return record

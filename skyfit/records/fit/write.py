@@ -15,6 +15,7 @@ from ...measured.units import RADIANCE
 from ...measured.writers import axes, degrees, write_netcdf
 from ...measured.writing import skyfit_version
 from ...retrieve import aerosol_optics, Derived, Fit, PARAMETERS
+from ...retrieve.components import KINDS
 from .schema import SCHEMA, VERSION
 
 
@@ -41,6 +42,10 @@ def record_of(fit: Fit) -> dict:
             "field_of_view_deg": np.round(np.degrees(given.field_of_view), 10),
             "loss": given.loss,
             "threshold": given.threshold,
+            "level": given.level,
+            "colour": given.colour,
+            "pointing_deg": None if given.pointing is None else np.degrees(given.pointing),
+            "time_level": given.time_level,
         },
         "priors": {n: {"value": v, "sigma": s, "unit": PARAMETERS[n].unit} for n, (v, s) in fit.priors.items()},
         "smooth": {n: {"sigma_per_hour": s, "unit": _scale_unit(n)} for n, s in fit.smooth.items()},
@@ -85,6 +90,7 @@ def _parameters(fit: Fit, t: int, places: list[int]) -> dict:
             "unit": PARAMETERS[fit.free[p]].unit,
             "sigma": fit.sigma[t, p],
             "model_sigma": fit.model_sigma[t, p],
+            "jackknife_sigma": fit.jackknife_sigma[t, p],
             "at_bound": fit.at_bound[t, p],
             "determined": fit.determined[t, p],
         }
@@ -113,11 +119,32 @@ def _time_record(fit: Fit, t: int, optics: dict[str, Derived]) -> dict:
         "samples": np.sum(fit.used[t]),
         "masked": masked,
         "reduced_chi_square": fit.reduced_chi_square[t],
-        "scale": fit.scale[t],
+        "noise": _noise(fit, t),
+        "beam": _beam(fit, t),
         "degrees_of_freedom": fit.degrees_of_freedom[t],
         "rejected": _rejected(fit, t),
         "undetermined": list(fit.undetermined[t]),
     }
+
+
+def _noise(fit: Fit, t: int) -> dict:
+    level, colour, pointing = fit.common[t]
+    spectral, angular = fit.residual_correlation[t]
+    return {
+        "sample": fit.scale[t],
+        "level": level,
+        "colour": colour,
+        "pointing_deg": np.degrees(pointing),
+        "widening": fit.widening[t],
+        "share": dict(zip(("sample", *KINDS), fit.error_share[t], strict=True)),
+        "spectral_correlation": spectral,
+        "angular_correlation": angular,
+    }
+
+
+def _beam(fit: Fit, t: int) -> list[dict]:
+    places = np.flatnonzero(np.isfinite(fit.beam_residual[t]))
+    return [{"wavelength_nm": fit.fitted_nm[i], "residual": fit.beam_residual[t, i]} for i in places]
 
 
 def _rejected(fit: Fit, t: int) -> list[dict]:
