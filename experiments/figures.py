@@ -20,6 +20,7 @@ MANY = HERE / "results" / "fit_many.json"
 POLARISATION = HERE / "results" / "polarisation.json"
 SPACE = HERE / "results" / "space.json"
 IPRT = HERE / "results" / "iprt.json"
+BARS = HERE / "results" / "error_bars.json"
 GEOMETRIES = ("flat", "spherical")
 TABLES = "<!-- figures of experiments/results/accuracy.json -->", "<!-- end of figures -->"
 SUMMARY = "<!-- summary of experiments/results -->", "<!-- end of summary -->"
@@ -189,6 +190,44 @@ def inverted(measured: dict, recovery: dict, speed: dict, many: dict) -> str:
         f"starts reach the best cost. A thousand skies by `fit_many`: {many['skies per second']:.0f} a second.",
     ]
     return "\n".join(lines)
+
+
+def error_bars(record: dict) -> str:
+    """Whether sigmas hold: between halves of measured skies, of held-out directions, on simulated skies."""
+    halves = {name: part for name, part in record["halves"].items() if name != "made_with"}
+    spheres, lobes = halves["particles"], halves["two lobes"]
+    lines = [
+        "| eight measured skies by halves, particles | off over sigma, rms | within 2 sigma | sigma, settled, median |",
+        "|---|---|---|---|",
+    ]
+    for name, row in spheres["parameters"].items():
+        lines.append(
+            f"| {name.replace('_', ' ')} | {row['rms']:.2f} | {100 * row['within_2']:.0f} % "
+            f"| {row['median_sigma_settled']:.2g} |"
+        )
+    lines += [
+        "",
+        "| held-out directions, settled scans | RMSE all, mW | beyond 10° | beyond 20° | within 1 sigma | 2 sigma |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, part in (("particles", spheres), ("two lobes", lobes)):
+        rmse, (one, two) = part["held_out_rmse"], part["held_out_within"]["all"]
+        shown = " | ".join(f"{rmse[f'settled, {where}']:.2f}" for where in ("all", "beyond_10", "beyond_20"))
+        lines.append(f"| {name} | {shown} | {100 * one:.0f} % | {100 * two:.0f} % |")
+    simulated = {n: part["within_1_2"].values() for n, part in record["simulated"].items() if n not in _ABOUT}
+    told = []
+    for name, shares in simulated.items():
+        one, two = ([100 * share[k] for share in shares] for k in (0, 1))
+        told.append(f"{name}: {min(one):.0f}-{max(one):.0f} % and {min(two):.0f}-{max(two):.0f} %")
+    lines += [
+        "",
+        f"Of {record['simulated']['skies']} simulated skies the truth lies within one and two sigma, by parameter,",
+        f"with noise {'; '.join(told)}.",
+    ]
+    return "\n".join(lines)
+
+
+_ABOUT = ("truth", "skies", "made_with")
 
 
 def _milliseconds(seconds: float) -> str:
@@ -387,6 +426,7 @@ def updated() -> dict[pathlib.Path, str]:
             from_every_height(read(IPRT)),
             ground_to_space(read(SPACE)),
             inverted(measured, recovery, read(INVERSION), read(MANY)),
+            error_bars(read(BARS)),
             speed(read(BENCHMARK)),
             analytic(refit, read(FITS)),
             pictures(read(AERIAL), read(DOME)),

@@ -123,6 +123,7 @@ def sasktran2_stokes(
     streams: int = 24,
     layers: int = 120,
     sun_positions: int = 3,
+    moments: int = 128,
 ) -> np.ndarray:
     """I, Q and U by sasktran2 per unit irradiance, `[component, direction, wavelength]`; I alone if not `polarised`.
 
@@ -133,7 +134,7 @@ def sasktran2_stokes(
     """
     import sasktran2 as sk
 
-    moments, wavelength = 128, jnp.asarray(wavelength_nm, float)
+    wavelength = jnp.asarray(wavelength_nm, float)
     config = sk.Config()
     # one: the tests run in two processes
     config.num_threads, config.num_streams, config.num_singlescatter_moments = 1, streams, moments
