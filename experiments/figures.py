@@ -245,8 +245,8 @@ def almucantars(record: dict) -> str:
     hazy = record["summary"]["single_scattering_albedo_440"]["beam"]["cases"]
     lines += [
         "",
-        f"{len(record['cases'])} hazes by its own Mie code, half of them of bins that no two modes make; noise 1 %, scales",
-        f"0.5 % and pointing 0.1° off. Albedos of the {hazy} with an optical depth of 0.2 or more at 440 nm.",
+        f"{len(record['cases'])} hazes by its own Mie code, half of them of bins that no two modes make; noise 1 %,",
+        f"scales 0.5 % and pointing 0.1° off. Albedos of the {hazy} with an optical depth of 0.2 or more at 440 nm.",
     ]
     return "\n".join(lines)
 

@@ -158,8 +158,7 @@ SKIES = {
     "azimuth in degrees": error(with_fields(lambda s: {"view_azimuth": np.degrees(AZIMUTH)}), "`view_azimuth`"),
     "sun in degrees": error(with_fields(lambda s: {"sun_zenith": np.degrees(s.sun_zenith)}), "`sun_zenith`"),
     "view twice to radians": flag(
-        with_fields(lambda s: {"view_zenith": np.radians(ZENITH), "view_azimuth": np.radians(AZIMUTH)}),
-        "max_steps_reached",
+        with_fields(lambda s: {"view_zenith": np.radians(ZENITH), "view_azimuth": np.radians(AZIMUTH)}), "poor_fit"
     ),
     "azimuth twice to radians": flag(with_fields(lambda s: {"view_azimuth": np.radians(AZIMUTH)}), "poor_fit"),
     "sun twice to radians": flag(
@@ -445,9 +444,7 @@ FILES = {
     "netcdf wavelengths in m": error(netcdf(assigned(wavelength=lambda w: 1e-9 * w)), "sky.nc", "are these m?"),
     "netcdf wavelengths in um": error(netcdf(assigned(wavelength=lambda w: 1e-3 * w)), "sky.nc", "are these um?"),
     "netcdf wavelengths backwards": right(netcdf(lambda data: data.isel(wavelength=slice(None, None, -1)))),
-    "netcdf radiance alone backwards": flag(
-        netcdf(relit(lambda light: light[..., ::-1])), "times their sigma"
-    ),
+    "netcdf radiance alone backwards": flag(netcdf(relit(lambda light: light[..., ::-1])), "poor_fit"),
     "netcdf axes in another order": right(netcdf(lambda data: data.transpose("wavelength", "time", "direction"))),
     "netcdf axes under each other's name": flag(netcdf(relit(lambda light: light.transpose(0, 2, 1))), "poor_fit"),
     "netcdf angles in radians": error(

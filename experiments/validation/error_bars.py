@@ -163,7 +163,8 @@ def summary(rows: list[dict], free: tuple[str, ...], times: int) -> dict:
     settled = [part for row in rows if row["time"] < SETTLED for part in row["held_out"]]
 
     def rmse(parts, where):
-        return float(np.sqrt(np.mean([part[where]["rmse_mw"] ** 2 for part in parts])))
+        # a half may have no direction so near the sun
+        return float(np.sqrt(np.nanmean([part[where]["rmse_mw"] ** 2 for part in parts])))
 
     record["held_out_rmse"] = {
         f"{which}, {where}": rmse(parts, where)
@@ -171,7 +172,7 @@ def summary(rows: list[dict], free: tuple[str, ...], times: int) -> dict:
         for where in ("all", "within_10", "beyond_10", "beyond_20")
     }
     record["held_out_within"] = {
-        where: np.mean([part[where]["within"] for part in held], axis=0).tolist()
+        where: np.nanmean([part[where]["within"] for part in held], axis=0).tolist()
         for where in ("all", "within_10", "beyond_10", "beyond_20")
     }
     steps = np.array([row["steps"] for row in rows])
@@ -262,13 +263,26 @@ def main():
     parts = arguments.only.split(",")
     if "simulated" in parts:
         record["simulated"] = simulated() | {"made_with": made_with(0)}
-        RESULT.write_text(json.dumps(record, indent=2) + "\n")
+        write(record)
     if "halves" in parts:
         path = arguments.shared / "measured" / "kider2014" / "2013-05-27.nc"
         if not path.exists():
             sys.exit(f"{path} is absent: nothing to invert")
         record["halves"] = halves(path, arguments.seeds) | {"made_with": made_with(0)}
-        RESULT.write_text(json.dumps(record, indent=2) + "\n")
+        write(record)
+
+
+def write(record: dict) -> None:
+    """The file, null where there is no number."""
+
+    def strict(value):
+        if isinstance(value, dict):
+            return {key: strict(entry) for key, entry in value.items()}
+        if isinstance(value, list | tuple):
+            return [strict(entry) for entry in value]
+        return None if isinstance(value, float) and not np.isfinite(value) else value
+
+    RESULT.write_text(json.dumps(strict(record), indent=2) + "\n")
 
 
 if __name__ == "__main__":
