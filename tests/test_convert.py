@@ -100,7 +100,7 @@ def test_what_is_free_where_nobody_says(tmp_path):
     assert "fine_width" in free_of("particles,fine_width", sky, known)
 
 
-def test_a_sky_that_lobes_made_is_one_of_lobes(tmp_path):
+def test_a_sky_that_lobes_made_is_one_of_lobes():
     nm, view = np.array([440.0, 550.0, 870.0]), skyfit.hemisphere(4)
     for haze, names in ((skyfit.Aerosol(0.2), LOBES_FREE), (skyfit.TwoModeAerosol(0.2), PARTICLE_FREE)):
         air = skyfit.Atmosphere(skyfit.Rayleigh(), haze)

@@ -36,11 +36,10 @@ def free_of(text: str | None, sky: Sky, known: Collection[str] = ()) -> tuple[st
 
     Of a set the pointing is left out too where the instrument follows the sun, and so knows where it looks.
     """
-    if text is None:
-        return tuple(name for name in usual_free(sky) if name not in known)
-    asked = [name.strip() for name in text.split(",")]
+    asked = [] if text is None else [name.strip() for name in text.split(",")]
+    names = usual_free(sky) if text is None else names_in(text)
     left = {*known, *(() if sky.view_zenith_by_wavelength is None else POINTING)}
-    return tuple(name for name in names_in(text) if name in asked or name not in left)
+    return tuple(name for name in names if name in asked or name not in left)
 
 
 def values_of_fix(fix: Sequence[str]) -> dict[str, float]:

@@ -17,8 +17,6 @@ _RELATIVE, _FLOOR = 0.02, 0.05
 # what directions' errors are taken for before the residuals are seen, and for how many directions that counts: relative
 # level and colour, and pointing in radians: small, so that skies without any keep their error bars
 _LEVEL, _COLOUR, _POINTING, _STRENGTH = 5e-4, 3e-4, 2e-4, 1.0
-# the least that the samples' own noise is of an assumed one
-_LEAST = 1.0
 # the calibration's prior where the noise is not known either
 _CALIBRATION = 0.01
 
@@ -94,10 +92,6 @@ class NoiseModel:
         given, taken = (self.level, self.colour, self.pointing), (_LEVEL, _COLOUR, _POINTING)
         sizes = tuple(t if g is None else g for g, t in zip(given, taken, strict=True))
         return sizes, tuple(_STRENGTH if g is None else float("inf") for g in given)
-
-    def least_scale(self, sky: Sky) -> float:
-        """How small the samples' own noise may be beside what `sigma` says."""
-        return 1.0 if self.stated(sky) else _LEAST
 
     def calibration_prior(self, sky: Sky) -> float:
         """The standard deviation of each wavelength's scale."""

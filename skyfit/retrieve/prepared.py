@@ -33,6 +33,8 @@ from .sampling import Sampling
 
 # spread of the logistic numbers of random starts: most of each range, not its ends
 _START_SPREAD = 1.5
+# of the stated noise, or more, is the samples' own: with less, small errors that neighbours share would rule a fit
+_LEAST = 1.0
 # wavelengths that tell the sizes of particles: so many, and the longest by the shortest
 _MANY_WAVELENGTHS, _WIDE = 3, 1.5
 
@@ -76,7 +78,7 @@ class Prepared:
 
     def options(self) -> dict:
         """What `retrieve` takes besides the samples, the model, the names and the priors."""
-        given, least = self.measurement.model_error, self.measurement.least_scale(self.sky)
+        given = self.measurement.model_error
         sizes, strength = self.measurement.shared_errors()
         return {
             "solver": self.solver,
@@ -86,7 +88,7 @@ class Prepared:
             "threshold": as_float(self.measurement.threshold),
             "model_error": as_float(self.solver.model_error if given is None else given),
             "max_steps": jnp.asarray(self.max_steps),
-            "expected": Expected(as_float(sizes), as_float(strength), as_float(least)),
+            "expected": Expected(as_float(sizes), as_float(strength), as_float(_LEAST)),
             "level": as_float(self.measurement.time_level),
         }
 
