@@ -1,12 +1,14 @@
 """Error bars hold the truth as often as they say: many skies of each kind, and one posterior by sampling."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
-from made_skies import as_sky, by_hand, FREE, HAZE, SOLVER
+from made_skies import as_sky, by_hand, FREE, HAZE, OWN_NOISE, SOLVER
 
 import skyfit
 from skyfit.retrieve import retrieve, with_values
@@ -114,7 +116,7 @@ def test_the_posterior_of_one_sky_by_sampling(x64, clean):
     """No-U-turn sampling of the likelihood itself, flat in the parameters, against values and sigmas of the fit."""
     blackjax = pytest.importorskip("blackjax")
     sky = as_sky(clean, NOISE, 55, wavelength_nm=NM, time=np.array(["NaT"], "datetime64[ns]"))
-    measurement = skyfit.NoiseModel(model_error=0.0, loss="squares", level=0.0, colour=0.0, pointing=0.0)
+    measurement = replace(OWN_NOISE, loss="squares")
     asked = prepared(sky, FREE, SOLVER, measurement=measurement)
     fit = skyfit.invert(sky, FREE, SOLVER, measurement=measurement)
     centre, size = jnp.asarray(fit.values[0]), jnp.asarray(fit.sigma[0] / fit.scale[0])

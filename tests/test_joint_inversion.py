@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
-from made_skies import as_sky, by_hand, EXACT, FREE, HAZE, PLAIN, SOLVER
+from made_skies import as_sky, by_hand, EXACT, FREE, HAZE, OWN_NOISE, PLAIN, SOLVER
 
 import skyfit
 from skyfit.light import extraterrestrial_irradiance
@@ -17,7 +17,7 @@ from skyfit.retrieve import start_model, with_values
 
 pytestmark = pytest.mark.usefixtures("haste")
 # noise of each sample alone, as the dense fit has it
-SQUARES = skyfit.NoiseModel(model_error=0.0, loss="squares", level=0.0, colour=0.0, pointing=0.0)
+SQUARES = replace(OWN_NOISE, loss="squares")
 SHARED = ("asymmetry",)
 DEPTHS, EXPONENTS, ASYMMETRY = (0.15, 0.3), (1.1, 0.8), 0.65
 ANGLES = (0.9, 0.6)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from foreign_skies import oracle_skies, random_truths, sasktran2_radiance, sasktran2_sky, Truth, with_noise
+from made_skies import OWN_NOISE
 
 import skyfit
 from skyfit.retrieve import LOBES_FREE
@@ -13,8 +14,6 @@ SOLVER = skyfit.OrdersOfScattering.normal("flat")
 # of errors and of sigmas; the albedo where the haze is no thinner than HAZY
 LIMITS = {"aerosol_optical_depth": 0.005, "angstrom_exponent": 0.05, "single_scattering_albedo": 0.02}
 HAZY = 0.2
-# both sides are scalar, flat, and agree on the height of the haze; noise is each sample's: nothing else is there
-NOISE_ALONE = skyfit.NoiseModel(model_error=0.0, level=0.0, colour=0.0, pointing=0.0)
 
 
 @pytest.fixture
@@ -25,7 +24,7 @@ def sasktran2():
 class Recovered:
     """Errors and sigmas `[fit, parameter]` of several draws of noise on each sky, and the bias without noise."""
 
-    def __init__(self, rows, draws, free=FREE, measurement=NOISE_ALONE):
+    def __init__(self, rows, draws, free=FREE, measurement=OWN_NOISE):
         self.free, self.truths, self.bias, errors, sigmas = free, [], [], [], []
         for place, (truth, sky, start) in enumerate(rows):
             exact = skyfit.invert(sky, free, SOLVER, start, measurement=measurement)

@@ -17,7 +17,8 @@ import xarray as xr
 from pvlib.spectrum.spectrl2 import _SPECTRL2_COEFFS
 
 from experiments.validation.recovery import foreign
-from skyfit.atmosphere import HenyeyGreenstein
+from skyfit import Aerosol, Atmosphere, Ground, Ozone, Rayleigh
+from skyfit.atmosphere import describe, Exponential, HenyeyGreenstein
 from skyfit.atmosphere.phase import HAZE_POLARISATION
 
 
@@ -193,6 +194,14 @@ def scan_directions() -> tuple[np.ndarray, np.ndarray]:
     return zenith_deg, azimuth_deg
 
 
+def nearest_atmosphere() -> Atmosphere:
+    """The sample's air as skyfit has it: that of sasktran2's US Standard Atmosphere is no exponential."""
+    phase = HenyeyGreenstein(SKY["asymmetry"], SKY["haze_polarisation"])
+    profile = Exponential(SKY["scale_height_m"])
+    haze = Aerosol(SKY["aod550"], SKY["angstrom_exponent"], SKY["aerosol_albedo"], phase=phase, profile=profile)
+    return Atmosphere(Rayleigh(SKY["pressure_pa"]), haze, Ozone(SKY["ozone_du"]), Ground(SKY["ground_albedo"]))
+
+
 def convergence(*place) -> dict:
     """Largest and median change of the radiance, %, from the default to another resolution."""
     trials = {"streams": (16, 32), "level_count": (121, 481), "sun_positions": (1, 7)}
@@ -244,6 +253,7 @@ def main() -> None:
             "fwhm_nm": FWHM_NM,
             "pressure_pa": PRESSURE_PA,
             "altitude_m": 0.0,
+            "made_by": json.dumps({"model": "sasktran2", "atmosphere": describe(nearest_atmosphere())}),
             "licence": "CC0-1.0",
         },
     )

@@ -99,6 +99,8 @@ def invert_command(
         measured = without_sun(measured, radians(in_range("--mask-sun", mask_sun, 0.0, 180.0)))
     known = values_of_fix(fix or [])
     names = free_of(free, measured, known)
+    # what is usual is said to be so
+    asked = None if free is None and not known else names
     start = start_of(names, known, measured)
     common = shared_of(names, shared, independent, tuple(smoothed), len(measured.time))
     spectral = channels is None and measured.response is None
@@ -109,7 +111,7 @@ def invert_command(
     check_folder(out)
     with progress("compiling and fitting") as report:
         fit = invert(
-            measured, names, last, start, progress=report, shared=common, measurement=measurement, response=channels,
+            measured, asked, last, start, progress=report, shared=common, measurement=measurement, response=channels,
             priors=priors, smooth=smoothed, draft=first, starts=starts, jackknife=_GROUPS if jackknife else 0,
         )  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)

@@ -150,6 +150,8 @@ def prepared(
     sampling.notes += [distance] if distance else []
     if said and set(free) & set(PARTICLE_FREE) - set(LOBES_FREE):
         sampling.notes.append("haze of spheres in two modes of size, as a measured spectrum tells: `free` names others")
+    if said and sky.view_zenith_by_wavelength is not None:
+        sampling.notes.append("pointing held: the instrument follows the sun; `free` names it where it does not")
     sampling.notes += [*_assumed(sky, start, free), *_unlike_its_maker(sky, start, free)]
     chosen = sampling.chosen()
     if chosen.size == 0:
