@@ -299,7 +299,7 @@ def test_a_block_is_short_and_its_numbers_are_those_that_were_given():
         "kind": "Aerosol", "optical_depth": 0.1, "angstrom_exponent": 1.3, "single_scattering_albedo": 0.95,
         "single_scattering_albedo_slope": 0.0,
         "phase": {"kind": "HenyeyGreenstein", "asymmetry": 0.7, "polarisation": 0.25},
-        "profile": {"kind": "Exponential", "scale_height": 1200.0},
+        "profile": {"kind": "Exponential", "scale_height": 1200.0}, "angstrom_curvature": 0.0,
     }  # fmt: skip
     assert block["ground"] == {"albedo": 0.1, "albedo_slope": 0.0, "red_edge": 0.0}
 

@@ -47,7 +47,7 @@ RANGES = [
         Aerosol, {"optical_depth": 0.1},
         {
             "optical_depth": (0.0, 1e3), "angstrom_exponent": (-2.0, 6.0), "single_scattering_albedo": (0.0, 1.0),
-            "single_scattering_albedo_slope": (-10.0, 10.0),
+            "single_scattering_albedo_slope": (-10.0, 10.0), "angstrom_curvature": (-3.0, 3.0),
         },
     ),
     (

@@ -2,7 +2,7 @@
 
 SOLVER_NAMES = ("orders", "spherical", "double", "single", "shells", "uniform")
 PARAMETER_NAMES = (
-    "turbidity", "aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo",
+    "turbidity", "aerosol_optical_depth", "angstrom_exponent", "angstrom_curvature", "single_scattering_albedo",
     "single_scattering_albedo_slope", "asymmetry", "asymmetry_second", "forward_fraction", "forward_fraction_slope",
     "haze_polarisation", "fine_fraction", "fine_radius", "coarse_radius", "fine_width", "coarse_width",
     "refractive_index", "absorption_index", "aerosol_scale_height", "ozone", "ground_albedo", "ground_albedo_slope",

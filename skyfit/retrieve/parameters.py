@@ -130,6 +130,7 @@ _LIST = (
     ),
     Parameter("aerosol_optical_depth", "1", 1e-4, 5.0, f"{_HAZE}.optical_depth", log=True, usual=_BOTH),
     Parameter("angstrom_exponent", "1", -0.5, 3.5, f"{_HAZE}.angstrom_exponent", usual=_LOBES),
+    Parameter("angstrom_curvature", "1", -1.0, 1.0, f"{_HAZE}.angstrom_curvature", slow=True),
     Parameter(
         "single_scattering_albedo", "1", 0.4, 1.0, f"{_HAZE}.single_scattering_albedo", slow=True, usual=_LOBES,
     ),
