@@ -79,9 +79,15 @@ def test_whitened_rows_have_the_squares_of_the_dense_covariance(x64, moves, foun
         np.testing.assert_allclose(rows[d].T @ rows[d], expected, rtol=1e-9)
         joined = np.asarray(components.joined(white, jnp.asarray(rows[..., 0])))[d]
         np.testing.assert_allclose(joined @ joined, expected[0, 0], rtol=1e-9)
-    other = np.random.default_rng(3).standard_normal(rows.shape)
-    back = np.asarray(components.unwhiten(white, jnp.asarray(other)))
-    np.testing.assert_allclose(np.einsum("drx,dry->xy", other, rows), np.einsum("dcx,dcy->xy", back, samples))
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_what_errors_in_common_move_has_their_covariance(x64, moves):
+    wrong, found = errors(moves), (1.3, 0.02, 0.01, 0.01)
+    rows = np.random.default_rng(3).standard_normal((DIRECTIONS, CHANNELS, 4))
+    moved = np.asarray(components.moved_by(wrong, sizes(found[0], *found[1:]), jnp.asarray(rows)))
+    common = dense(wrong, sizes(found[0], *found[1:])) - dense(wrong, sizes(found[0], 0.0, 0.0, 0.0))
+    np.testing.assert_allclose(moved.T @ moved, np.einsum("dcx,dcf,dfy->xy", rows, common, rows), rtol=1e-9, atol=1e-12)
 
 
 def restricted_likelihood(errors, residual, columns, found):

@@ -35,7 +35,8 @@ class NoiseModel:
       None: that of the solver.
     - `level`, `colour`, `pointing`: standard deviations of errors that all wavelengths of a direction share: relative,
       of its level and of its colour (a slope and a bend in the logarithm of wavelength, of this size at the ends), and
-      of where it was looked, radians, on each of two axes. None: as large as the residuals show; 0: there are none.
+      of where it was looked, radians, on each of two axes. They widen sigma and weigh no sample. None: as large as the
+      residuals show; 0: there are none.
       Where each wavelength has views of its own so has each sample its error of pointing
     - `time_level`: relative error that all samples of a time share, which no residual shows
     - `field_of_view`: full cone angle of what the instrument sees, radians; 0: a ray.

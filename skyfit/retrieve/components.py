@@ -1,7 +1,8 @@
 """The kinds of error that a measurement has, how large each is, and residuals freed of what they share.
 
 A sample's error is its own, or common to all wavelengths of its direction: of their level, of their colour, or of where
-the instrument looked. Errors in common are marginalised, not fitted: the cost is linear in the samples.
+the instrument looked. Errors in common have no say in what fits best, but in how sure it is: the cost is linear in the
+samples.
 """
 
 from typing import NamedTuple
@@ -23,8 +24,6 @@ _KIND_OF = np.array([0, 1, 1, 2, 2], np.uint8)
 COMMON = _KIND_OF.size
 # where the search for the sizes begins, in the order of `KINDS`: large, for from below it is slow
 _LARGE = (0.1, 0.1, 0.03)
-# of the radiance: a model whose residuals are typically larger is wrong; freed of errors in common it would go anywhere
-_WRONG = 0.1
 # passes of the estimate, and steps of expectation and maximisation in each
 _PASSES, _STEPS = 4, 30
 # share of a column's length that counts as none, in the elimination of parameters without influence
@@ -99,12 +98,6 @@ def errors_of(
     return Errors(one.weight, jnp.concatenate([radiance[..., None] * shapes[None], slopes], axis=-1), turned)
 
 
-def independent(weight: Float[Array, "direction channel"]) -> Whitening:
-    """The whitening of samples that share nothing, `weight` one over their sigma."""
-    nothing = jnp.zeros((COMMON, *weight.shape), weight.dtype)
-    return Whitening(weight, nothing, nothing[:, :, 0], nothing)
-
-
 def whitening(errors: Errors, found: Components) -> Whitening:
     """The whitening that errors of these sizes ask for."""
     weight = _own_weight(errors, found)
@@ -154,14 +147,16 @@ def whiten(white: Whitening, samples: Float[Array, "direction channel column"]) 
     return jnp.concatenate([common, values - jnp.einsum("edc,dex->dcx", white.frame, common)], axis=1)
 
 
-def unwhiten(white: Whitening, rows: Float[Array, "direction row column"]) -> Float[Array, "direction channel column"]:
-    """The transpose of `whiten`, by which slopes by rows become slopes by samples."""
-    common, rest = rows[:, :COMMON], rows[:, COMMON:]
-    common = common - jnp.einsum("edc,dcx->dex", white.frame, rest)
-    values = rest + jnp.einsum("edc,dex->dcx", white.frame, common)
-    for vector, share in zip(white.across[::-1], white.share[::-1], strict=True):
-        values = _mirrored(values, vector, share)
-    return values * white.weight[..., None]
+def moved_by(
+    errors: Errors, found: Components, rows: Float[Array, "direction channel column"]
+) -> Float[Array, "effect column"]:
+    """How much independent errors of size 1 that samples have in common move each column of linear `rows`."""
+    common = jnp.einsum("dce,dcx->dex", _scaled(errors, found), rows)
+    common = common.reshape(-1, rows.shape[2])
+    if errors.turned is None:
+        return common
+    turned = (jnp.sqrt(errors.turned) * found.common[-1])[..., None] * rows
+    return jnp.concatenate([common, turned.reshape(-1, rows.shape[2])])
 
 
 def _mirrored(values, vector, share):
@@ -203,8 +198,7 @@ def estimate(
     r"""The sizes that the residuals of one time show, by restricted maximum likelihood.
 
     Errors in common are unknowns with a normal distribution, and the parameters such without one; the variances by
-    expectation and maximisation over the posterior of both. Rows that the loss trusts less count less. Where the model
-    is typically off by a tenth all errors count as the samples' own.
+    expectation and maximisation over the posterior of both. Rows that the loss trusts less count less.
 
     **Arguments:** `residual`, model minus measurement; `columns`, its slopes by all that is fitted, `prior`, one over
     the sigma of each column's unknown; `moves`: whether these go where the residuals draw them, or others hold them.
@@ -225,11 +219,7 @@ def estimate(
         trusted = trust_of(weight) * (errors.weight > 0.0)
         return jax.lax.fori_loop(0, _STEPS, lambda _, v: _refined(errors, v, left, trusted, calm, expected), found)
 
-    found = jax.lax.fori_loop(0, _PASSES, one_pass, Components(middle, large))
-    radiance, held = errors.common[..., 0].reshape(-1), errors.weight.reshape(-1) > 0.0
-    wrong = typical_size(residual.reshape(-1) / jnp.where(held, radiance, 1.0), held) > _WRONG
-    none = Components(middle, jnp.where(jnp.isinf(expected.strength), expected.common, 0.0))
-    return jax.tree.map(lambda a, b: jnp.where(wrong, a, b), none, found)
+    return jax.lax.fori_loop(0, _PASSES, one_pass, Components(middle, large))
 
 
 def _calm(loss: Loss, threshold):

@@ -10,9 +10,9 @@ from jaxtyping import Array, Float, Int
 from ..measured.noise import Loss
 from ..numerics.chain import Point, reduced, Rows
 from ..transport import AbstractSolver
-from .components import Expected, whiten, Whitening
+from .components import Expected
 from .forward import observe, Problem
-from .loss import robust
+from .loss import Robust, robust
 from .model import SkyModel
 from .parameters import PARAMETERS, POINTING, with_values
 
@@ -61,6 +61,21 @@ class Priors(NamedTuple):
     step: Float[Array, "step own"]
 
 
+class Weighing(NamedTuple):
+    """How samples of the sky are weighed, of one time or with a time axis.
+
+    `scale`, the noise over the stated one; `excess`, by how much more uncertain they leave the parameters than
+    independent noise would: so much more all else weighs, which is the priors but those of calibration, and the beam.
+    """
+
+    scale: Float[Array, "*time"]
+    excess: Float[Array, "*time"]
+
+    def of_all(self) -> Float[Array, ""]:
+        """The excess for what all times share."""
+        return jnp.sqrt(jnp.mean(self.excess**2))
+
+
 class Known(NamedTuple):
     """What the solver said at the last point that was accepted: slopes by the parameters on their scales, and `turn`,
     those by the instrument's two pointing offsets in radians. Of one time, or with a time axis in front."""
@@ -90,36 +105,19 @@ def _samples(one: Problem, radiance, direct):
     return radiance.reshape(-1) if one.direct is None else jnp.concatenate([radiance.reshape(-1), direct])
 
 
-def to_rows(
-    one: Problem, white: Whitening, samples: Float[Array, "sample column"]
-) -> tuple[Float[Array, "row column"], Float[Array, "beam column"]]:
-    """Samples of one time as rows of size 1: of the sky, by its whitening, and of the direct beam."""
-    directions, channels = one.measured.shape
-    sky, beam = samples[: directions * channels], samples[directions * channels :]
-    rows = whiten(white, sky.reshape(directions, channels, -1))
-    if one.direct_weight is not None:
-        beam = beam * one.direct_weight[:, None]
-    return rows.reshape(-1, rows.shape[2]), beam
+def weight_of(one: Problem, weighing: Weighing) -> Float[Array, " sample"]:
+    """The weight of every sample of one time before the loss, 0 where masked; those of the direct beam are the last."""
+    sky = one.weight.reshape(-1) / weighing.scale
+    return sky if one.direct_weight is None else jnp.concatenate([sky, one.direct_weight * weighing.excess])
 
 
-class Whitened(NamedTuple):
-    """Residuals of one time in independent rows of size 1, after the loss: those of the direct beam are never trusted
-    less. `value`, `slope` and `weight` as in `Robust`; `plain` before the loss."""
-
-    value: Float[Array, " row"]
-    slope: Float[Array, " row"]
-    weight: Float[Array, " row"]
-    plain: Float[Array, " row"]
-
-
-def whitened(choices: Choices, threshold, one: Problem, known: Known, calibration, white: Whitening) -> Whitened:
-    """The residuals of one time."""
+def trusted(choices: Choices, threshold, one: Problem, known: Known, calibration, weighing: Weighing) -> Robust:
+    """The weighed residuals of one time after the loss; the direct beam is never trusted less."""
     residual = _samples(one, known.radiance * calibration[None] - one.measured, beam_residual(one, known))
-    sky, beam = to_rows(one, white, residual[:, None])
-    after = robust(sky[:, 0], choices.loss, threshold)
-    ones = jnp.ones_like(beam[:, 0])
-    parts = zip((*after, sky[:, 0]), (beam[:, 0], ones, ones, beam[:, 0]), strict=True)
-    return Whitened(*(jnp.concatenate(part) for part in parts))
+    plain = residual * weight_of(one, weighing)
+    after = robust(plain, choices.loss, threshold)
+    sky = jnp.arange(plain.size) < one.measured.size
+    return Robust(*(jnp.where(sky, part, end) for part, end in zip(after, (plain, 1.0, 1.0), strict=True)))
 
 
 def beam_residual(one: Problem, known: Known) -> Float[Array, " channel"] | None:
@@ -215,29 +213,30 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
     names, count = choices.names, len(choices.own)
 
     def rows(point: Point, arguments):
-        fixed, problem, priors, white, threshold = arguments
+        fixed, problem, priors, weighing, threshold = arguments
         here = jax.lax.stop_gradient(point)
         channels = problem.measured.shape[2]
         shared, calibration = here.shared[: len(choices.shared)], calibration_of(choices, here, channels)
         scaled, steep = jax.vmap(lambda own: _with_slope(choices.own, own))(here.own) if count else (here.own, here.own)
-        prior = (scaled - priors.centre[None, :count]) * priors.inverse_sigma[None, :count]
-        tight = steep * priors.inverse_sigma[None, :count]
+        strength = priors.inverse_sigma[None, :count] * weighing.excess[:, None]
+        prior, tight = (scaled - priors.centre[None, :count]) * strength, steep * strength
 
         def at(item):
-            own, one, white, tight, prior = item
+            own, one, weighing, tight, prior = item
             scaled, slope = _with_slope(names, jnp.concatenate([own, shared]))
             known = linearised(names, solver, slopes_by, fixed, scaled, one)
-            after = whitened(choices, threshold, one, known, calibration, white)
-            columns = jnp.concatenate(to_rows(one, white, columns_of(choices, one, known, calibration, slope)))
-            columns = columns * after.slope[:, None]
+            after = trusted(choices, threshold, one, known, calibration, weighing)
+            columns = columns_of(choices, one, known, calibration, slope)
+            columns = columns * (weight_of(one, weighing) * after.slope)[:, None]
             return reduced_rows(choices, columns, after.value[:, None], tight, prior[:, None]), known
 
-        (own, common, right), known = jax.lax.map(at, (here.own, problem, white, tight, prior))
-        step = (scaled[1:] - scaled[:-1]) * priors.step
-        shared_value, shared_slope = shared_priors(choices, here.shared, priors)
+        (own, common, right), known = jax.lax.map(at, (here.own, problem, weighing, tight, prior))
+        link = priors.step * weighing.of_all()
+        step = (scaled[1:] - scaled[:-1]) * link
+        shared_value, shared_slope = shared_priors(choices, here.shared, priors, weighing.of_all())
         move = jax.tree.map(jnp.subtract, point, here)
         data = right[..., 0] + jnp.einsum("trp,tp->tr", own, move.own) + jnp.einsum("trs,s->tr", common, move.shared)
-        stepped = step + priors.step * (steep[1:] * move.own[1:] - steep[:-1] * move.own[:-1])
+        stepped = step + link * (steep[1:] * move.own[1:] - steep[:-1] * move.own[:-1])
         return Rows(data, shared_value + shared_slope * move.shared, stepped), known
 
     return rows
@@ -249,14 +248,14 @@ def instrument_gain(calibration, one: Problem) -> Float[Array, " sample"]:
     return sky if one.direct is None else jnp.concatenate([sky, jnp.ones(one.direct.shape[0], sky.dtype)])
 
 
-def shared_priors(choices: Choices, shared, priors: Priors):
+def shared_priors(choices: Choices, shared, priors: Priors, excess):
     """Residuals of the shared parameters' and the scales' priors, and their slopes."""
     count, first = len(choices.shared), len(choices.own)
     value, slope = shared[:0], shared[:0]
     if count:
         scaled, steep = _with_slope(choices.shared, shared[:count])
-        value = (scaled - priors.centre[first:]) * priors.inverse_sigma[first:]
-        slope = steep * priors.inverse_sigma[first:]
+        strength = priors.inverse_sigma[first:] * excess
+        value, slope = (scaled - priors.centre[first:]) * strength, steep * strength
     if priors.calibration is None:
         return value, slope
     scales = shared[count:] * priors.calibration
@@ -265,12 +264,13 @@ def shared_priors(choices: Choices, shared, priors: Priors):
     )
 
 
-def cost(choices: Choices, priors: Priors, point: Point, residual) -> Float[Array, ""]:
+def cost(choices: Choices, priors: Priors, point: Point, residual, weighing: Weighing) -> Float[Array, ""]:
     """Half the sum of squares after the loss, `residual`, priors included."""
     total = jnp.sum(residual**2)
     count = len(choices.own)
     if count:
         scaled = jax.vmap(lambda own: on_scale(choices.own, own))(point.own)
-        total += jnp.sum(((scaled - priors.centre[None, :count]) * priors.inverse_sigma[None, :count]) ** 2)
-        total += jnp.sum(((scaled[1:] - scaled[:-1]) * priors.step) ** 2)
-    return 0.5 * (total + jnp.sum(shared_priors(choices, point.shared, priors)[0] ** 2))
+        strength = priors.inverse_sigma[None, :count] * weighing.excess[:, None]
+        total += jnp.sum(((scaled - priors.centre[None, :count]) * strength) ** 2)
+        total += jnp.sum(((scaled[1:] - scaled[:-1]) * priors.step * weighing.of_all()) ** 2)
+    return 0.5 * (total + jnp.sum(shared_priors(choices, point.shared, priors, weighing.of_all())[0] ** 2))

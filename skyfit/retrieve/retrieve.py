@@ -11,12 +11,12 @@ from ..measured.noise import Loss
 from ..numerics.chain import minimise, Point
 from ..numerics.least_squares import LOGISTIC_LIMIT
 from ..transport import AbstractSolver
-from .components import Expected, independent, KINDS
+from .components import Expected, KINDS
 from .forward import Problem
 from .model import SkyModel
 from .parameters import PARAMETERS, partition, POINTING
-from .residuals import calibration_of, Choices, cost, Known, Numbers, objective, Priors, whitened
-from .uncertainty import components_at, described, End, Estimate, whitening_at
+from .residuals import calibration_of, Choices, cost, Known, Numbers, objective, Priors, trusted, Weighing
+from .uncertainty import described, End, Estimate, weighing_at
 
 
 def retrieve(
@@ -45,8 +45,8 @@ def retrieve(
     unconstrained numbers in that order, `own` `[start, time, parameter]` and `shared` `[start, shared]` (default: the
     model's values): the search goes from each of them, and once more from the best end with the noise that it left;
     `loss` beyond `threshold` standard deviations; `model_error`, relative; `max_steps` of each search; `expected` sizes
-    of the errors that the wavelengths of a direction share (default: none are); `level`, the relative size of an error
-    that a whole time shares. Numbers may be traced, names and solvers are static.
+    of the errors that the wavelengths of a direction share (default: none are), which widen the covariance; `level`,
+    the relative size of an error that a whole time shares. Numbers may be traced, names and solvers are static.
     **Returns:** an `Estimate`, parameters in the order of `free`. Nothing is raised: `result` and `finite` tell.
     **Valid:** the cost is linear in the number of times. The derivative by the samples and by what is fixed is that of
     Gauss-Newton: exact where the residuals vanish, off by their share otherwise; `gain` is the one by the samples.
@@ -94,9 +94,12 @@ def search(
     priors: Priors,
     starts: Point,
 ) -> End:
-    """The best end of the searches from all starts, then from there with residuals over the noise that they show.
+    """The best end of the searches from all starts, then from there with noise as large as the residuals show.
 
-    The searches run one after the other through the same loop, so that the compiler sees the solvers once.
+    Errors in common have no say in the samples' weights, but in that of all of them beside the priors: without its
+    level a direction would tell of colours alone, and what is off on a real sky is smooth over neighbours, not a
+    direction's own. The searches run one after the other through the same loop, so that the compiler sees the solvers
+    once.
     """
     channels = problem.measured.shape[2]
     none = channels if choices.calibrated else 0
@@ -106,25 +109,25 @@ def search(
     rows = objective(choices, *solvers)
 
     def left(end: End):
-        return whitening_at(problem, end.known, components_at(choices, numbers, problem, priors, end))
+        return weighing_at(choices, numbers, problem, priors, end)
 
-    def total_of(point, known, white):
+    def total_of(point, known, weighing):
         calibration = calibration_of(choices, point, channels)
         after = jax.lax.map(
-            lambda item: whitened(choices, numbers.threshold, item[0], item[1], calibration, item[2]).value,
-            (problem, known, white),
+            lambda item: trusted(choices, numbers.threshold, item[0], item[1], calibration, item[2]).value,
+            (problem, known, weighing),
         )
-        return cost(choices, priors, point, after)
+        return cost(choices, priors, point, after, weighing)
 
     def one(best: End, item):
         begin, last = item
         begin = jax.tree.map(lambda a, b: jnp.where(last, a, b), best.point, begin)
-        white = jax.lax.cond(last, left, lambda _: jax.vmap(independent)(problem.weight), best)
-        arguments = fixed, problem, priors, white, numbers.threshold
+        weighing = jax.lax.cond(last, left, lambda _: stated, best)
+        arguments = fixed, problem, priors, weighing, numbers.threshold
         point, known, steps, result = minimise(rows, begin, arguments, limit, none, numbers.max_steps)
-        total = total_of(point, known, white)
+        total = total_of(point, known, weighing)
         total = jnp.where(jnp.isfinite(total), total, jnp.inf)
-        end = End(point, known, total, best.steps + steps, result)
+        end = End(point, known, weighing, total, best.steps + steps, result)
         better = last | (total < best.cost)
         chosen = jax.tree.map(lambda a, b: jnp.where(better, a, b), end, best)
         return chosen._replace(steps=end.steps), None
@@ -139,7 +142,8 @@ def search(
         jnp.zeros((times, samples, len(choices.names)), dtype),
         jnp.zeros((*problem.measured.shape, len(POINTING)), dtype),
     )
-    best = End(first, nothing, jnp.array(jnp.inf, dtype), jnp.array(0), optx.RESULTS.successful)
+    stated = Weighing(jnp.ones(times, dtype), jnp.ones(times, dtype))
+    best = End(first, nothing, stated, jnp.array(jnp.inf, dtype), jnp.array(0), optx.RESULTS.successful)
     items = jax.tree.map(lambda v: jnp.concatenate([v, v[:1]]), begins)
     last = jnp.arange(starts.own.shape[0] + 1) == starts.own.shape[0]
     return jax.lax.scan(one, best, (items, last))[0]

@@ -6,24 +6,23 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..numerics import as_float, triangle
+from ..numerics import as_float, solve_upper, triangle
 from ..numerics.chain import Blocks, damped, marginal_rows, Point, solve_chain
 from ..numerics.least_squares import covariance
 from ..scene import angle_between
 from .components import (
-    COMMON,
     Components,
     errors_of,
     estimate,
     joined,
+    moved_by,
     share_of,
-    trust_of,
-    unwhiten,
+    whiten,
     Whitening,
     whitening,
 )
 from .forward import Problem
-from .loss import robust
+from .loss import robust, typical_size
 from .model_error import model_errors
 from .parameters import PARAMETERS
 from .residuals import (
@@ -37,9 +36,9 @@ from .residuals import (
     Numbers,
     Priors,
     reduced_rows,
-    to_rows,
-    Whitened,
-    whitened,
+    trusted,
+    Weighing,
+    weight_of,
 )
 
 
@@ -87,10 +86,11 @@ class Estimate(NamedTuple):
 
 
 class End(NamedTuple):
-    """Where a search has ended and what the solver says there."""
+    """Where a search has ended, what the solver says there, and how the samples were weighed."""
 
     point: Point
     known: Known
+    weighing: Weighing
     cost: Float[Array, ""]
     steps: Int[Array, ""]
     result: Any
@@ -122,6 +122,60 @@ def components_at(choices: Choices, numbers: Numbers, problem: Problem, priors: 
     return jax.lax.map(at, jax.lax.stop_gradient((problem, end.known)))
 
 
+def weighing_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Priors, end: End) -> Weighing:
+    r"""How the samples are to be weighed by the residuals of an end that the stated noise has led to.
+
+    `excess` is $[\mathrm{tr}(H^{-1} M) / p]^{1/2}$ with the normal matrix H of the p parameters and the covariance M
+    of its right-hand side by noise of all kinds: as if p independent numbers told of them.
+    **Source:** Ribatet, Cooley & Davison 2012, Stat. Sinica 22, 813 (magnitude adjustment of a composite likelihood).
+    """
+    sizes = components_at(choices, numbers, problem, priors, end)
+    calibration = calibration_of(choices, end.point, problem.measured.shape[2])
+    count = len(choices.names)
+
+    def at(item):
+        one, known, sizes = item
+        plain = (known.radiance * calibration[None] - one.measured) * one.weight
+        typical = typical_size(plain.reshape(-1), one.weight.reshape(-1) > 0.0)
+        scale = jnp.maximum(jnp.where(jnp.isfinite(typical), typical, 1.0), numbers.expected.least)
+        weighing = Weighing(scale, jnp.ones_like(scale))
+        trust = trusted(choices, numbers.threshold, one, known, calibration, weighing).weight
+        columns = columns_of(choices, one, known, calibration, jnp.ones_like(priors.inverse_sigma))
+        # the channels' scales first, so that what is left is of the parameters alone
+        columns = jnp.concatenate([columns[:, count:], columns[:, :count]], axis=1)
+        rows, effects = _noise_of(one, known, sizes, weighing, trust, columns)
+        whole = triangle(jnp.concatenate([rows, jnp.zeros((rows.shape[1], rows.shape[1]), rows.dtype)]))
+        moves = _sides(whole[: rows.shape[1]], effects)[-count:]
+        return Weighing(scale, jnp.sqrt(jnp.maximum(jnp.mean(jnp.sum(moves**2, axis=1)), 1.0)))
+
+    return jax.lax.stop_gradient(jax.lax.map(at, (problem, end.known, sizes)))
+
+
+def _noise_of(one: Problem, known: Known, sizes: Components, weighing: Weighing, trust, columns):
+    """Weighed rows of `columns`, and the right-hand sides of their normal equations by each independent error."""
+    weight = weight_of(one, weighing) * jnp.sqrt(trust)
+    rows = columns * weight[:, None]
+    directions, channels = one.measured.shape
+    sky, beam = rows[: directions * channels], rows[directions * channels :]
+    weighed = (sky * weight[: directions * channels, None]).reshape(directions, channels, -1)
+    own = sky * (sizes.sample / weighing.scale)
+    common = moved_by(errors_of(one, known.radiance, known.turn), sizes, weighed)
+    return rows, jnp.concatenate([own, beam * weighing.excess, common])
+
+
+def _sides(whole, effects):
+    r"""Right-hand sides of rows $T$ that give their normal equations the right-hand sides $T^T y$ of all effects.
+
+    **Arguments:** `whole`, rows $T$ as a triangle; `effects` `[effect, column]`. **Returns:** as many as columns.
+    """
+    guard = jnp.sqrt(jnp.sum(whole**2, axis=0))
+    guard = jnp.diag(jnp.where(guard > 0.0, _GUARD * guard, 1.0))
+    upper = triangle(jnp.concatenate([whole, guard]))[: whole.shape[1]]
+    sides = triangle(jnp.concatenate([effects, jnp.zeros_like(guard)]))[: whole.shape[1]]
+    # the transpose, a lower triangle, from its first row down
+    return solve_upper(upper.T[::-1, ::-1], sides.T[::-1])[::-1]
+
+
 def whitening_at(problem: Problem, known: Known, found: Components) -> Whitening:
     """The whitening of all times for errors of these sizes."""
 
@@ -138,27 +192,26 @@ def _chi_square(choices: Choices, square, held):
     return jnp.sum(square) / jnp.maximum(held[0] - known, 1.0)
 
 
-def _widening(choices: Choices, threshold, after: Whitened, held):
-    r"""How much wider than $(J^T W J)^{-1/2}$ the error of one time is, 1 at least.
+def _widening(choices: Choices, threshold, plain, held):
+    r"""How much wider than its noise makes it the error of one time is, 1 at least, from its whitened residuals.
 
     $[\overline{\psi^2}\, \overline{w}]^{1/2} / \overline{\psi'}$ with the influence $\psi = w z$ of a residual: what is
     far off counts with its bounded influence, not with its size.
-    **Source:** Huber 1981, Robust Statistics, sec. 7.6, divided by the mean weight that is in W.
+    **Source:** Huber 1981, Robust Statistics, sec. 7.6, divided by the mean weight that is in the rows.
     """
 
     def influence(residual):
         trust = robust(residual, choices.loss, threshold).weight
         return trust * residual
 
-    sky = after.plain
-    psi, slope = jax.jvp(influence, (sky,), (jnp.ones_like(sky),))
-    rows = jnp.maximum(jnp.sum(sky != 0.0), 1)
+    psi, slope = jax.jvp(influence, (plain,), (jnp.ones_like(plain),))
+    rows = jnp.maximum(jnp.sum(plain != 0.0), 1)
 
     def mean(values):
-        return jnp.sum(jnp.where(sky != 0.0, values, 0.0)) / rows
+        return jnp.sum(jnp.where(plain != 0.0, values, 0.0)) / rows
 
     # where most are far off nothing holds, but finite it is
-    trust = robust(sky, choices.loss, threshold).weight
+    trust = robust(plain, choices.loss, threshold).weight
     wide = jnp.sqrt(_chi_square(choices, psi**2, held) * mean(trust)) / jnp.maximum(mean(slope), _LEAST_SLOPE)
     return jnp.where(wide > 1.0, wide, 1.0)
 
@@ -197,7 +250,9 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     spread = jnp.where(log[None], values, as_float([PARAMETERS[n].spread(1.0) for n in names])[None])
     # a unit on the parameter's scale is one e-fold, or the range
     unit = jnp.where(log, 1.0, as_float([PARAMETERS[n].spread(1.0) for n in names]))
+    excess, all_excess = found.weighing.excess, found.weighing.of_all()
     tight = unit * priors.inverse_sigma
+    own_tight, shared_tight = tight[None, :own_count] * excess[:, None], tight[own_count:] * all_excess
     errors = model_errors(problem, known.radiance) * numbers.model_error
     level = numbers.level * jnp.where(jnp.arange(errors.shape[1]) < directions * channels, 1.0, 0.0)
     level = level[None] * _with_beam(known.radiance.reshape(times, -1), errors.shape[1])
@@ -205,33 +260,41 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     side = errors.shape[2]
 
     def at(item):
-        one, known, white, errors = item
-        after = whitened(choices, numbers.threshold, one, known, calibration, white)
+        one, known, white, errors, sizes, weighing, tied = item
+        after = trusted(choices, numbers.threshold, one, known, calibration, weighing)
         samples = jnp.sum(one.weight > 0.0) + (0 if one.direct_weight is None else jnp.sum(one.direct_weight > 0.0))
         held = samples, times
-        wide = _widening(choices, numbers.threshold, after, held)
-        stated = jnp.sum((known.radiance * calibration[None] - one.measured) ** 2 * one.weight**2)
+        residual = known.radiance * calibration[None] - one.measured
+        plain = whiten(white, residual[..., None])[..., 0]
+        wide = _widening(choices, numbers.threshold, plain, held)
+        stated = jnp.sum((residual * one.weight) ** 2)
         beam = beam_residual(one, known)
         if beam is not None and one.direct_weight is not None:
             stated += jnp.sum((beam * one.direct_weight) ** 2)
+        weight = weight_of(one, weighing) * jnp.sqrt(after.weight)
         columns = columns_of(choices, one, known, calibration, unit)
-        gain = instrument_gain(calibration, one)[:, None]
-        rows = jnp.concatenate(to_rows(one, white, jnp.concatenate([columns, errors * gain], axis=1)))
-        rows = rows * (jnp.sqrt(after.weight) / wide)[:, None]
-        columns, right = rows[:, : columns.shape[1]], rows[:, columns.shape[1] :]
-        tied = tight[:own_count]
-        parts = reduced_rows(choices, columns, right, tied, jnp.zeros((own_count, side), rows.dtype))
-        sky = (directions, COMMON + channels)
-        plain, weight = (v[: sky[0] * sky[1]].reshape(sky) for v in (after.plain, after.weight))
-        told = wide, _chi_square(choices, stated, held), _correlation(one, white, plain), trust_of(weight)
-        return parts, told, columns, after.weight
+        rows, effects = _noise_of(one, known, sizes, weighing, after.weight, columns)
+        right = errors * (instrument_gain(calibration, one) * weight)[:, None]
+        parts = reduced_rows(choices, rows, right, tied, jnp.zeros((own_count, side), rows.dtype))
+        noise = _sides(jnp.concatenate(parts[:2], axis=1)[: rows.shape[1]], wide * effects)
+        told = wide, _chi_square(choices, stated, held), _correlation(one, white, plain)
+        return (
+            parts,
+            noise,
+            told,
+            rows * weight[:, None],
+            after.weight[: directions * channels].reshape(directions, channels),
+        )
 
-    (own, common, right), told, columns, trust = jax.lax.map(at, (problem, known, white, errors))
-    wide, chi_square, correlation, weight = told
+    items = problem, known, white, errors, sizes, found.weighing, own_tight
+    (own, common, right), noise, told, columns, weight = jax.lax.map(at, items)
+    wide, chi_square, correlation = told
     scales = common.shape[2] - len(choices.shared)
     exact = 0.0 if priors.calibration is None else priors.calibration
-    prior = jnp.diag(jnp.concatenate([tight[own_count:], jnp.full(scales, exact, tight.dtype)]))
-    link = unit[None, :own_count] * priors.step
+    prior = jnp.diag(jnp.concatenate([shared_tight, jnp.full(scales, exact, tight.dtype)]))
+    link = unit[None, :own_count] * priors.step * all_excess
+    # of a prior, whose weight has the excess too
+    prior_error = jnp.concatenate([jnp.broadcast_to(all_excess, shared_tight.shape), jnp.ones(scales, own.dtype)])
     blocks = Blocks(
         own, common, right, prior, jnp.zeros((prior.shape[0], side), own.dtype), -link, link,
         jnp.zeros((*link.shape, side), own.dtype),
@@ -249,28 +312,52 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     # the channels' scales first, so that what is left is of the parameters alone
     order = jnp.concatenate([marginal[..., count:], marginal[..., :count]], axis=2)
     triangles = jax.vmap(triangle)(order)[:, scales:, scales:]
-    shift_own, shift_shared = solve_chain(damped(blocks, size))
-    parameters = len(choices.shared)
-    shift = jnp.concatenate(
-        [shift_own, jnp.broadcast_to(shift_shared[None, :parameters], (times, parameters, side))], axis=1
-    )
-    shift = shift * spread[..., None]
+    safe = damped(blocks, size)
+
+    def moves(blocks: Blocks):
+        """How much each side moves the parameters of each time and what all times share."""
+        mine, shared = solve_chain(blocks)
+        return jnp.concatenate([mine, jnp.broadcast_to(shared[None], (times, *shared.shape))], axis=1)
+
+    def add(total, source):
+        """The covariance by the noise and the priors of one time more; those of what is shared come last."""
+        here = jnp.arange(times) == source
+        mine = jnp.where(here[:, None, None], noise, 0.0)
+        columns = noise.shape[1]
+        ties = jnp.where(here[:, None, None], jnp.eye(own_count, dtype=own.dtype)[None], 0.0)
+        right = jnp.zeros((times, safe.own.shape[1], columns + 2 * own_count), own.dtype)
+        right = right.at[:, :columns, :columns].set(mine)
+        first = own.shape[1] - own_count
+        right = right.at[:, first : own.shape[1], columns : columns + own_count].set(ties * excess[:, None, None])
+        steps = jnp.zeros((times - 1, own_count, right.shape[2]), own.dtype)
+        steps = steps.at[:, :, columns + own_count :].set(ties[: times - 1] * all_excess)
+        # rows that only guard have no error
+        error = jnp.pad(prior_error, (0, safe.prior.shape[0] - prior_error.size))
+        last = jnp.where(source == times, jnp.eye(error.size, right.shape[2], dtype=own.dtype) * error[:, None], 0.0)
+        shift = moves(safe._replace(right=right, prior_right=last, step_right=steps))
+        return total + jnp.einsum("tpk,tqk->tpq", shift, shift), None
+
+    total, _ = jax.lax.scan(add, jnp.zeros_like(spreads), jnp.arange(times + 1))
+    # what is not determined has no sigma
+    unknown = jnp.isinf(jnp.diagonal(spreads, axis1=1, axis2=2))
+    total = jnp.where(unknown[:, :, None] | unknown[:, None], spreads, total)
+    shift = moves(safe)[:, :count] * spread[..., None]
     both = spread[:, :, None] * spread[:, None, :]
 
     def gain_at(item):
-        spreads, columns, trust, wide, white = item
-        rows = (columns * (jnp.sqrt(trust) / wide)[:, None]) @ spreads[:, :count]
-        rows = rows[: directions * (COMMON + channels)].reshape(directions, COMMON + channels, count)
-        return jnp.moveaxis(unwhiten(white, rows), -1, 0)
+        spreads, columns = item
+        gain = (columns @ spreads[:, :count])[: directions * channels]
+        return jnp.moveaxis(gain.reshape(directions, channels, count), -1, 0)
 
-    gain = jax.lax.map(gain_at, (spreads, columns, trust, wide, white))
+    gain = jax.lax.map(gain_at, (spreads, columns))
     deviations = jnp.diagonal(spreads, axis1=1, axis2=2)
-    freedom = jnp.clip(1.0 - tight[None] ** 2 * deviations[:, :count], 0.0, 1.0)
+    weighed = jnp.concatenate([own_tight, jnp.broadcast_to(shared_tight[None], (times, shared_tight.size))], axis=1)
+    freedom = jnp.clip(1.0 - weighed**2 * deviations[:, :count], 0.0, 1.0)
     freedom = jnp.sum(jnp.where(jnp.isfinite(deviations[:, :count]), freedom, 0.0), axis=1)
-    scales_sigma = jnp.sqrt(deviations[0, count:]) if choices.calibrated else jnp.zeros(channels, own.dtype)
+    scales_sigma = jnp.sqrt(jnp.diagonal(total[0])[count:]) if choices.calibrated else jnp.zeros(channels, own.dtype)
     return Estimate(
         values,
-        jnp.where(jnp.isinf(spreads[:, :count, :count]), spreads[:, :count, :count], spreads[:, :count, :count] * both),
+        jnp.where(jnp.isinf(total[:, :count, :count]), jnp.inf, total[:, :count, :count] * both),
         jnp.einsum("tpk,tqk->tpq", shift, shift),
         triangles,
         freedom,
