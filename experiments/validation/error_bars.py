@@ -37,7 +37,7 @@ RESULT = HERE / "results" / "error_bars.json"
 SOLVER = skyfit.OrdersOfScattering.normal(polarised=True)
 SETS = {"particles": PARTICLE_FREE, "two lobes": LOBES_FREE}
 # seeds of the set that is not the first
-FEWER = 2
+FEWER = 1
 # columns of `Errors.common`
 KIND_OF = np.array([0, 1, 1, 2, 2], np.uint8)
 # degrees from the sun
