@@ -171,11 +171,11 @@ def joined(white: Whitening, rows: Float[Array, "direction row"]) -> Float[Array
 
 def share_of(errors: Errors, found: Components) -> Float[Array, " kind"]:
     """The share of each kind, the samples' own first, in the squares of all errors over the stated sigma."""
-    held = errors.weight > 0.0
-    of_all = jnp.sum((_scaled(errors, found) * errors.weight[..., None]) ** 2, axis=(0, 1))
-    squares = [found.sample**2 * jnp.sum(held), *(jnp.sum(_of_kind(of_all, k)) for k in range(len(KINDS)))]
+    weight = errors.weight / found.sample
+    of_all = jnp.sum((_scaled(errors, found) * weight[..., None]) ** 2, axis=(0, 1))
+    squares = [jnp.sum(weight > 0.0), *(jnp.sum(_of_kind(of_all, k)) for k in range(len(KINDS)))]
     if errors.turned is not None:
-        squares[-1] = jnp.sum(errors.turned * (found.common[-1] * errors.weight) ** 2)
+        squares[-1] = jnp.sum(errors.turned * (found.common[-1] * weight) ** 2)
     every = jnp.stack(squares)
     return every / jnp.maximum(jnp.sum(every), 1e-30)
 
@@ -206,6 +206,11 @@ def estimate(
     """
     middle = typical_size((residual * errors.weight).reshape(-1), errors.weight.reshape(-1) > 0.0)
     middle = jnp.maximum(jnp.where(jnp.isfinite(middle), middle, 1.0), expected.least)
+    # in units in which no square overflows, however small the stated noise
+    errors, expected = (
+        errors._replace(weight=errors.weight / middle),
+        expected._replace(least=expected.least / middle),
+    )
     large = jnp.where(jnp.isinf(expected.strength), expected.common, jnp.asarray(_LARGE, middle.dtype))
     calm = _calm(loss, threshold)
     samples = jnp.concatenate([columns, residual[..., None]], axis=-1)
@@ -219,7 +224,8 @@ def estimate(
         trusted = trust_of(weight) * (errors.weight > 0.0)
         return jax.lax.fori_loop(0, _STEPS, lambda _, v: _refined(errors, v, left, trusted, calm, expected), found)
 
-    return jax.lax.fori_loop(0, _PASSES, one_pass, Components(middle, large))
+    found = jax.lax.fori_loop(0, _PASSES, one_pass, Components(jnp.ones_like(middle), large))
+    return found._replace(sample=found.sample * middle)
 
 
 def _calm(loss: Loss, threshold):
