@@ -48,8 +48,9 @@ def retrieve(
     of the errors that the wavelengths of a direction share (default: none are), which widen the covariance; `level`,
     the relative size of an error that a whole time shares. Numbers may be traced, names and solvers are static.
     **Returns:** an `Estimate`, parameters in the order of `free`. Nothing is raised: `result` and `finite` tell.
-    **Valid:** the cost is linear in the number of times. The derivative by the samples and by what is fixed is that of
-    Gauss-Newton: exact where the residuals vanish, off by their share otherwise; `gain` is the one by the samples.
+    **Valid:** the search's cost is linear in the number of times, that of the covariance quadratic. The derivative by
+    the samples and by what is fixed is that of Gauss-Newton: exact where the residuals vanish, off by their share
+    otherwise; `gain` is the one by the samples.
     """
     free = tuple(free)
     choices = Choices(

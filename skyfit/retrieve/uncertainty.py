@@ -278,13 +278,8 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
         parts = reduced_rows(choices, rows, right, tied, jnp.zeros((own_count, side), rows.dtype))
         noise = _sides(jnp.concatenate(parts[:2], axis=1)[: rows.shape[1]], wide * effects)
         told = wide, _chi_square(choices, stated, held), _correlation(one, white, plain)
-        return (
-            parts,
-            noise,
-            told,
-            rows * weight[:, None],
-            after.weight[: directions * channels].reshape(directions, channels),
-        )
+        trust = after.weight[: directions * channels].reshape(directions, channels)
+        return parts, noise, told, rows * weight[:, None], trust
 
     items = problem, known, white, errors, sizes, found.weighing, own_tight
     (own, common, right), noise, told, columns, weight = jax.lax.map(at, items)
