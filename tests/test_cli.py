@@ -14,7 +14,7 @@ import skyfit
 from skyfit.cli import app, known, programs
 from skyfit.cli.fit_report import print_fit
 from skyfit.cli.models import turbidity_of
-from skyfit.retrieve import PARAMETERS, PARTICLE_FREE, SLOW
+from skyfit.retrieve import PARAMETERS, PARTICLE_FREE, SLOW, values_of
 
 
 # of a haze of spheres, which the skies here have not
@@ -309,7 +309,11 @@ def test_the_options_of_invert_reach_the_fit(monkeypatch, tmp_path):
     two_skies(tmp_path / "two.nc")
     (tmp_path / "camera.csv").write_text("wavelength_nm,blue,green\n450,1,0\n550,0,2\n650,0,1\n")
     usual = asked(monkeypatch, tmp_path)
-    assert usual["free"] == PARTICLE_FREE and usual["shared"] == tuple(n for n in PARTICLE_FREE if n in SLOW)
+    # the usual names are the fit's own to say
+    assert usual["free"] is None and usual["shared"] == tuple(n for n in PARTICLE_FREE if n in SLOW)
+    assert {*values_of(usual["start"], PARTICLE_FREE)} == {*PARTICLE_FREE}
+    known = asked(monkeypatch, tmp_path, "--fix", "pointing_zenith=0.5")["free"]
+    assert known == tuple(n for n in PARTICLE_FREE if n != "pointing_zenith")
     # the usual first steps of `invert` itself
     assert usual["solver"] == skyfit.OrdersOfScattering.normal(polarised=True) and usual["draft"] is None
     assert usual["measurement"] == skyfit.NoiseModel() and usual["starts"] == 1
