@@ -237,7 +237,7 @@ def check_free(free: tuple[str, ...], model: SkyModel, argument: str = "free", p
         raise ValueError(f"`{argument}` must name at least one parameter")
     for name in free:
         if name not in PARAMETERS:
-            raise ValueError(f"`{argument}` must name parameters among {', '.join(PARAMETERS)}; got {name!r}")
+            raise ValueError(f"`{argument}` must be among {', '.join(PARAMETERS)}; got {name!r}")
         if not _present(PARAMETERS[name], model, per_wavelength):
             raise ValueError(f"`{argument}` names {name!r}, which this atmosphere does not have")
     if len(set(free)) < len(free):
