@@ -653,7 +653,7 @@ BROKEN = {
             "--out",
             "new",
         ),
-        ["12 usable samples", "17 free"],
+        ["12 usable samples", "18 free"],
     ),
     "out is a file": ((*INVERT[:-1], "fit.json", "--free", "turbidity"), ["--out", "fit.json"]),
     "refit out is a file": (("refit", "--out", "fit.json"), ["--out", "fit.json"]),
