@@ -83,16 +83,17 @@ def test_clouds_are_rejected_by_name_and_leave_the_haze_alone(x64, sky, plain):
         others = np.delete(np.arange(40), clouds)
         assert np.mean(fit.weight[0, others]) > 0.8
     assert not squares.rejected.any() and np.all(squares.weight == 1.0)
-    assert np.abs(squares.values[0, 0] - 0.2) > 2.0 * max(huber.sigma[0, 0], cauchy.sigma[0, 0])
+    assert np.abs(squares.values[0, 0] - 0.2) > 10.0 * max(huber.sigma[0, 0], cauchy.sigma[0, 0])
     assert np.abs(squares.values[0, 0] - 0.2) > 5.0 * np.abs(cauchy.values[0, 0] - 0.2)
-    # what was rejected counts in chi-square, and with its bounded influence only in the noise: that of whole directions
+    # what was rejected counts in chi-square, and has no say in how large the errors of the others are
     assert huber.reduced_chi_square[0] > 100.0 and huber.scale[0] < 1.1 and cauchy.scale[0] < 1.1
-    assert 0.2 > huber.common[0, 0] > 0.1 > 0.01 > cauchy.common[0, 0]
+    assert np.all(huber.common[0] < 0.01) and np.all(cauchy.common[0] < 0.01)
     # trusted as much as the others the clouds are levels of directions, and sigma says how far that leads astray
     assert squares.common[0, 0] > 0.4 and squares.scale[0] < 2.0 and np.all(off(squares) < 2.0)
-    assert np.all(squares.sigma > 3.0 * huber.sigma)
-    # what a loss still trusts of them, widened sigma says: of Huber much, of Cauchy little
-    assert np.all(plain.sigma < cauchy.sigma) and np.all(cauchy.sigma < 0.2 * huber.sigma)
+    # of what a loss still trusts of them the influence widens sigma: of Huber much, of Cauchy little
+    assert np.all(plain.sigma < cauchy.sigma) and np.all(cauchy.sigma < 1.5 * plain.sigma)
+    assert np.all(off(huber) < 3.0) and np.all(huber.sigma > 1.5 * plain.sigma)
+    assert np.all(squares.sigma > 10.0 * huber.sigma)
 
 
 AUREOLE = np.radians([2.2, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 11.0, 15.0])

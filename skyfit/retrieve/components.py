@@ -10,12 +10,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jax.scipy.special import erf
+from jaxtyping import Array, Bool, Float
 
 from ..measured.noise import Loss
 from ..numerics.factor import inverse, solve_upper, triangle
 from .forward import Problem
-from .loss import robust, typical_size
+from .loss import typical_size
 
 
 # and the kind of each column of `Errors.common`: colour is a slope and a bend, pointing has two axes
@@ -26,6 +27,8 @@ COMMON = _KIND_OF.size
 _LARGE = (0.1, 0.1, 0.03)
 # passes of the estimate, and steps of expectation and maximisation in each
 _PASSES, _STEPS = 4, 30
+# standard deviations beyond which a row tells nothing of the sizes
+_FURTHEST = 3.0
 # share of a column's length that counts as none, in the elimination of parameters without influence
 _GUARD = 1e-6
 
@@ -180,11 +183,6 @@ def share_of(errors: Errors, found: Components) -> Float[Array, " kind"]:
     return every / jnp.maximum(jnp.sum(every), 1e-30)
 
 
-def trust_of(weight: Float[Array, "direction row"]) -> Float[Array, "direction channel"]:
-    """The trust of the loss in each sample, from that in the rows of its direction."""
-    return jnp.min(weight[:, :COMMON], axis=1, keepdims=True) * weight[:, COMMON:]
-
-
 def estimate(
     errors: Errors,
     residual: Float[Array, "direction channel"],
@@ -198,7 +196,9 @@ def estimate(
     r"""The sizes that the residuals of one time show, by restricted maximum likelihood.
 
     Errors in common are unknowns with a normal distribution, and the parameters such without one; the variances by
-    expectation and maximisation over the posterior of both. Rows that the loss trusts less count less.
+    expectation and maximisation over the posterior of both. Rows beyond the threshold of the loss, or three standard
+    deviations, do not count, but most always do: bounded alone, as in Huber's loss, those of one in threshold^2
+    directions would grow with what they make of the sizes.
 
     **Arguments:** `residual`, model minus measurement; `columns`, its slopes by all that is fitted, `prior`, one over
     the sigma of each column's unknown; `moves`: whether these go where the residuals draw them, or others hold them.
@@ -211,28 +211,40 @@ def estimate(
         errors._replace(weight=errors.weight / middle),
         expected._replace(least=expected.least / middle),
     )
+    furthest = jnp.inf if loss == "squares" else jnp.maximum(threshold, _FURTHEST)
     large = jnp.where(jnp.isinf(expected.strength), expected.common, jnp.asarray(_LARGE, middle.dtype))
-    calm = _calm(loss, threshold)
+    # as large as if none were too far
+    whole = 1.0 / jnp.sqrt(_calm(furthest))
     samples = jnp.concatenate([columns, residual[..., None]], axis=-1)
 
     def one_pass(_, found: Components) -> Components:
         rows = whiten(whitening(errors, found), samples)
-        weight = robust(rows[..., -1], loss, threshold).weight
-        spread, step = _profiled((jnp.sqrt(weight)[..., None] * rows).reshape(-1, rows.shape[-1]), prior)
+        near = _near(rows[..., -1], furthest)
+        spread, step = _profiled((near[..., None] * rows).reshape(-1, rows.shape[-1]), prior)
         moved = residual + columns @ step if moves else residual
-        left = jnp.concatenate([moved[..., None], columns @ spread], axis=-1)
-        trusted = trust_of(weight) * (errors.weight > 0.0)
-        return jax.lax.fori_loop(0, _STEPS, lambda _, v: _refined(errors, v, left, trusted, calm, expected), found)
+        left = jnp.concatenate([whole * moved[..., None], columns @ spread], axis=-1)
+        trusted = jnp.all(near[:, :COMMON], axis=1, keepdims=True) & near[:, COMMON:] & (errors.weight > 0.0)
+        trusted = trusted.astype(residual.dtype)
+        return jax.lax.fori_loop(0, _STEPS, lambda _, v: _refined(errors, v, left, trusted, expected), found)
 
     found = jax.lax.fori_loop(0, _PASSES, one_pass, Components(jnp.ones_like(middle), large))
     return found._replace(sample=found.sample * middle)
 
 
-def _calm(loss: Loss, threshold):
-    """What the squares of normal deviates come to where the loss trusts some less, over the mean trust."""
-    deviate = jnp.linspace(-8.0, 8.0, 129, dtype=threshold.dtype)
-    density, weight = jnp.exp(-0.5 * deviate**2), robust(deviate, loss, threshold).weight
-    return jnp.sum(density * (weight * deviate) ** 2) / jnp.sum(density * weight)
+def _near(rows: Float[Array, "direction row"], furthest) -> Bool[Array, "direction row"]:
+    """Which whitened residuals are no further than that many standard deviations, or typical sizes if these are more:
+    those of what directions have in common, and the others."""
+    parts = rows[:, :COMMON], rows[:, COMMON:]
+    typical = (typical_size(part.reshape(-1), part.reshape(-1) != 0.0) for part in parts)
+    limits = [furthest * jnp.where(size > 1.0, size, 1.0) for size in typical]
+    return jnp.concatenate([jnp.abs(p) <= limit for p, limit in zip(parts, limits, strict=True)], axis=1)
+
+
+def _calm(furthest):
+    """The mean square of normal deviates that are no further than this."""
+    furthest = jnp.minimum(furthest, 30.0)
+    density = jnp.exp(-0.5 * furthest**2) * jnp.sqrt(2.0 / jnp.pi)
+    return 1.0 - furthest * density / erf(furthest / jnp.sqrt(2.0))
 
 
 def _profiled(rows, prior):
@@ -247,7 +259,7 @@ def _profiled(rows, prior):
     return solved[:, :count], -solved[:, count]
 
 
-def _refined(errors: Errors, found: Components, left, trusted, calm, expected: Expected) -> Components:
+def _refined(errors: Errors, found: Components, left, trusted, expected: Expected) -> Components:
     """A step of expectation and maximisation; `left`, the residuals and their slopes by unit deviates of the fitted."""
     weight, scaled = _own_weight(errors, found), _scaled(errors, found)
     design = scaled * weight[..., None]
@@ -261,7 +273,7 @@ def _refined(errors: Errors, found: Components, left, trusted, calm, expected: E
 
     direction = jnp.max(trusted, axis=1)
     count, samples = jnp.sum(direction), jnp.maximum(jnp.sum(trusted), 1.0)
-    by_effect = direction**2 @ square / (calm * jnp.maximum(count, 1.0))
+    by_effect = direction @ square / jnp.maximum(count, 1.0)
     mean = jnp.stack([jnp.mean(_of_kind(by_effect, k)) for k in range(len(KINDS))]) * found.common**2
     if errors.turned is not None:
         # two independent parts of each sample's own error
@@ -270,12 +282,12 @@ def _refined(errors: Errors, found: Components, left, trusted, calm, expected: E
         both = share * (1.0 - share) * size
         turned = (share**2 * own + both) / jnp.where(errors.turned > 0.0, errors.turned, 1.0)
         held = trusted * (errors.turned > 0.0)
-        mean = mean.at[-1].set(jnp.sum(held * trusted * turned) / (calm * jnp.maximum(jnp.sum(held), 1.0)))
+        mean = mean.at[-1].set(jnp.sum(held * turned) / jnp.maximum(jnp.sum(held), 1.0))
         own = (1.0 - share) ** 2 * own + both
     given = jnp.isinf(expected.strength)
     strength = jnp.where(given, 1.0, expected.strength)
     variance = (strength * expected.common**2 + count * mean) / (strength + count)
-    ratio = jnp.sum((trusted * errors.weight) ** 2 * own) / (calm * samples)
+    ratio = jnp.sum(trusted * errors.weight**2 * own) / samples
     return Components(
         jnp.maximum(jnp.sqrt(ratio), expected.least), jnp.where(given, expected.common, jnp.sqrt(variance))
     )

@@ -18,6 +18,8 @@ from .uncertainty import Estimate
 
 # of its own sigma: what is further contradicts the sky
 _FAR_BEAM = 3.0
+# wavelengths that tell a power of the wavelength from others
+_TELLING = 4
 _WORDS = ("result", "undetermined", "doubt")
 
 
@@ -67,9 +69,9 @@ def _days_together(asked: Prepared) -> Iterator[str]:
 
 def _of_the_beam(asked: Prepared, residual: np.ndarray) -> Iterator[str]:
     """Where the direct beam contradicts the sky."""
-    weight = asked.problem.direct_weight
+    weight, beam = asked.problem.direct_weight, asked.problem.direct
     for t, row in enumerate(residual):
-        if weight is None or not (np.abs(row) > _FAR_BEAM).any():
+        if weight is None or beam is None or not (np.abs(row) > _FAR_BEAM).any():
             continue
         worst = int(np.nanargmax(np.abs(row)))
         name = f"{asked.sky.wavelength_nm[asked.chosen[worst]]:g} nm"
@@ -80,18 +82,20 @@ def _of_the_beam(asked: Prepared, residual: np.ndarray) -> Iterator[str]:
             f"the fit: sky and beam contradict each other"
         )
         held = np.isfinite(row)
-        if depth and _as_of_air(asked, held, -row[held] / np.asarray(weight[t], float)[held]):
+        if depth and _as_of_air(asked, held, np.asarray(beam[t], float)[held]):
             name = at_time(asked.sky, t)
-            yield f"{name}it exceeds the fit's by about what air has: is it the total one, not the haze's?"
+            yield f"{name}without what air has it goes with the wavelength as a haze's: is it the total one?"
 
 
-def _as_of_air(asked: Prepared, held: np.ndarray, excess: np.ndarray) -> bool:
-    """Whether an excess of optical depth at the `held` wavelengths goes with the wavelength as that of the air."""
-    wavelength = as_float(asked.sky.wavelength_nm[asked.chosen[held]])
-    air = np.asarray(asked.start.atmosphere.rayleigh.optical_depth_at(wavelength), float)
-    # least squares of the excess by the air's
-    share, left = excess @ air / (air @ air), excess - air * (excess @ air) / (air @ air)
-    return bool(0.3 < share < 2.0 and np.sum(left**2) < 0.5 * np.sum(excess**2))
+def _as_of_air(asked: Prepared, held: np.ndarray, depth: np.ndarray) -> bool:
+    """Whether optical depth at the `held` wavelengths is nearer a power of the wavelength without that of the air."""
+    wavelength = asked.sky.wavelength_nm[asked.chosen[held]]
+    air = np.asarray(asked.start.atmosphere.rayleigh.optical_depth_at(as_float(wavelength)), float)
+    if held.sum() < _TELLING or np.any(depth <= air):
+        return False
+    line = np.stack([np.ones_like(wavelength), np.log(wavelength)], axis=1)
+    total, haze = (np.sum((v - line @ np.linalg.lstsq(line, v)[0]) ** 2) for v in (np.log(depth), np.log(depth - air)))
+    return bool(haze < 0.5 * total)
 
 
 def _kept_share(residual: np.ndarray, inverse_sigma: np.ndarray, weight: np.ndarray) -> float:

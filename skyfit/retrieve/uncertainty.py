@@ -137,13 +137,12 @@ def weighing_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Pr
         one, known, sizes = item
         plain = (known.radiance * calibration[None] - one.measured) * one.weight
         typical = typical_size(plain.reshape(-1), one.weight.reshape(-1) > 0.0)
-        scale = jnp.maximum(jnp.where(jnp.isfinite(typical), typical, 1.0), numbers.expected.least)
+        scale = jnp.where(typical > 1.0, typical, 1.0)
         weighing = Weighing(scale, jnp.ones_like(scale))
-        trust = trusted(choices, numbers.threshold, one, known, calibration, weighing).weight
         columns = columns_of(choices, one, known, calibration, jnp.ones_like(priors.inverse_sigma))
         # the channels' scales first, so that what is left is of the parameters alone
         columns = jnp.concatenate([columns[:, count:], columns[:, :count]], axis=1)
-        rows, effects = _noise_of(one, known, sizes, weighing, trust, columns)
+        rows, effects = _noise_of(choices, numbers.threshold, one, known, calibration, sizes, weighing, columns)
         whole = triangle(jnp.concatenate([rows, jnp.zeros((rows.shape[1], rows.shape[1]), rows.dtype)]))
         moves = _sides(whole[: rows.shape[1]], effects)[-count:]
         return Weighing(scale, jnp.sqrt(jnp.maximum(jnp.mean(jnp.sum(moves**2, axis=1)), 1.0)))
@@ -151,16 +150,27 @@ def weighing_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Pr
     return jax.lax.stop_gradient(jax.lax.map(at, (problem, end.known, sizes)))
 
 
-def _noise_of(one: Problem, known: Known, sizes: Components, weighing: Weighing, trust, columns):
-    """Weighed rows of `columns`, and the right-hand sides of their normal equations by each independent error."""
-    weight = weight_of(one, weighing) * jnp.sqrt(trust)
-    rows = columns * weight[:, None]
+def _noise_of(choices: Choices, threshold, one: Problem, known: Known, calibration, sizes, weighing: Weighing, columns):
+    """Weighed rows of `columns`, and the right-hand sides of their normal equations by each independent error.
+
+    Of samples beyond the threshold of the loss those of a direction count as one error, of the influence they have.
+    """
+    after = trusted(choices, threshold, one, known, calibration, weighing)
+    plain, root = weight_of(one, weighing), jnp.sqrt(after.weight)
+    rows = columns * (plain * root)[:, None]
     directions, channels = one.measured.shape
-    sky, beam = rows[: directions * channels], rows[directions * channels :]
-    weighed = (sky * weight[: directions * channels, None]).reshape(directions, channels, -1)
+    held = directions * channels
+    sky, beam = (rows * root[:, None])[:held], rows[held:]
     own = sky * (sizes.sample / weighing.scale)
-    common = moved_by(errors_of(one, known.radiance, known.turn), sizes, weighed)
-    return rows, jnp.concatenate([own, beam * weighing.excess, common])
+    common = moved_by(
+        errors_of(one, known.radiance, known.turn), sizes, (sky * plain[:held, None]).reshape(directions, channels, -1)
+    )
+    effects = [own, beam * weighing.excess, common]
+    if choices.loss != "squares":
+        residual = (known.radiance * calibration[None] - one.measured).reshape(-1) * plain[:held]
+        far = jnp.where(jnp.abs(residual) > threshold, residual, 0.0)
+        effects.append(jnp.sum((sky * far[:, None]).reshape(directions, channels, -1), axis=1))
+    return rows, jnp.concatenate(effects)
 
 
 def _sides(whole, effects):
@@ -192,12 +202,12 @@ def _chi_square(choices: Choices, square, held):
     return jnp.sum(square) / jnp.maximum(held[0] - known, 1.0)
 
 
-def _widening(choices: Choices, threshold, plain, held):
+def _widening(choices: Choices, threshold, plain):
     r"""How much wider than its noise makes it the error of one time is, 1 at least, from its whitened residuals.
 
-    $[\overline{\psi^2}\, \overline{w}]^{1/2} / \overline{\psi'}$ with the influence $\psi = w z$ of a residual: what is
-    far off counts with its bounded influence, not with its size.
-    **Source:** Huber 1981, Robust Statistics, sec. 7.6, divided by the mean weight that is in the rows.
+    $[\overline{\psi^2} / \overline{w^2}]^{1/2}\, \overline{w} / \overline{\psi'}$ with the influence
+    $\psi = w z$ of a residual, over those within the threshold: `_noise_of` has the others, and the weights.
+    **Source:** Huber 1981, Robust Statistics, sec. 7.6.
     """
 
     def influence(residual):
@@ -205,20 +215,19 @@ def _widening(choices: Choices, threshold, plain, held):
         return trust * residual
 
     psi, slope = jax.jvp(influence, (plain,), (jnp.ones_like(plain),))
-    rows = jnp.maximum(jnp.sum(plain != 0.0), 1)
+    trust = robust(plain, choices.loss, threshold).weight
+    near = (plain != 0.0) & (jnp.abs(plain) <= threshold)
+    rows = jnp.maximum(jnp.sum(near), 1)
 
     def mean(values):
-        return jnp.sum(jnp.where(plain != 0.0, values, 0.0)) / rows
+        return jnp.sum(jnp.where(near, values, 0.0)) / rows
 
-    # where most are far off nothing holds, but finite it is
-    trust = robust(plain, choices.loss, threshold).weight
-    wide = jnp.sqrt(_chi_square(choices, psi**2, held) * mean(trust)) / jnp.maximum(mean(slope), _LEAST_SLOPE)
+    wide = jnp.sqrt(mean(psi**2) / mean(trust**2)) * mean(trust) / jnp.maximum(mean(slope), _LEAST_SLOPE)
     return jnp.where(wide > 1.0, wide, 1.0)
 
 
-def _correlation(one: Problem, white: Whitening, rows) -> Float[Array, " neighbour"]:
+def _correlation(one: Problem, value) -> Float[Array, " neighbour"]:
     """Of whitened residuals with the next wavelength, and with the nearest direction."""
-    value = joined(white, rows)
     held = one.weight > 0.0
     beside = held[:, 1:] & held[:, :-1]
     spectral = jnp.sum(jnp.where(beside, value[:, 1:] * value[:, :-1], 0.0)) / jnp.maximum(jnp.sum(beside), 1)
@@ -265,19 +274,19 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
         samples = jnp.sum(one.weight > 0.0) + (0 if one.direct_weight is None else jnp.sum(one.direct_weight > 0.0))
         held = samples, times
         residual = known.radiance * calibration[None] - one.measured
-        plain = whiten(white, residual[..., None])[..., 0]
-        wide = _widening(choices, numbers.threshold, plain, held)
+        plain = joined(white, whiten(white, residual[..., None])[..., 0])
+        wide = _widening(choices, numbers.threshold, plain)
         stated = jnp.sum((residual * one.weight) ** 2)
         beam = beam_residual(one, known)
         if beam is not None and one.direct_weight is not None:
             stated += jnp.sum((beam * one.direct_weight) ** 2)
         weight = weight_of(one, weighing) * jnp.sqrt(after.weight)
         columns = columns_of(choices, one, known, calibration, unit)
-        rows, effects = _noise_of(one, known, sizes, weighing, after.weight, columns)
+        rows, effects = _noise_of(choices, numbers.threshold, one, known, calibration, sizes, weighing, columns)
         right = errors * (instrument_gain(calibration, one) * weight)[:, None]
         parts = reduced_rows(choices, rows, right, tied, jnp.zeros((own_count, side), rows.dtype))
         noise = _sides(jnp.concatenate(parts[:2], axis=1)[: rows.shape[1]], wide * effects)
-        told = wide, _chi_square(choices, stated, held), _correlation(one, white, plain)
+        told = wide, _chi_square(choices, stated, held), _correlation(one, plain)
         trust = after.weight[: directions * channels].reshape(directions, channels)
         return parts, noise, told, rows * weight[:, None], trust
 
