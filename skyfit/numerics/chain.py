@@ -314,11 +314,11 @@ class ChainDescent(optx.AbstractDescent):
 class ChainMarquardt(optx.AbstractGaussNewton):
     """Optimistix' Gauss-Newton loop that ends where the whole step to the minimum changes the residuals by less than
     `tolerance`: residuals are in standard deviations, so that no determined combination of parameters is further from
-    its best than this share of its sigma. `max_steps` may be traced."""
+    its best than this share of its sigma. It and `max_steps` may be traced."""
 
     descent: ChainDescent
     max_steps: Int[Array, ""]
-    tolerance: float = 0.05
+    tolerance: Float[Array, ""]
     rtol: float = 0.0
     atol: float = 0.0
     norm: Callable = optx.max_norm
@@ -336,14 +336,15 @@ class ChainMarquardt(optx.AbstractGaussNewton):
         return done | stuck | late, result
 
 
-def minimise(rows, point: Point, arguments, limit: Point, linear: int, max_steps):
+def minimise(rows, point: Point, arguments, limit: Point, linear: int, max_steps, tolerance=0.05):
     """The least sum of squares within |unknown| <= `limit` by Levenberg-Marquardt on optimistix' loop.
 
     **Arguments:** `rows(point, arguments)` gives `Rows`, linear about `point`, and what is known besides; `linear` as
-    in `ChainDescent`; `max_steps`, a number or traced.
+    in `ChainDescent`; `max_steps` and `tolerance` (`ChainMarquardt`), numbers or traced.
     **Returns:** the point, what `rows` knew at it, the number of steps and optimistix' result; nothing is raised.
     """
-    solver = ChainMarquardt(descent=ChainDescent(limit, linear), max_steps=jnp.asarray(max_steps))
+    descent = ChainDescent(limit, linear)
+    solver = ChainMarquardt(descent, max_steps=jnp.asarray(max_steps), tolerance=jnp.asarray(tolerance))
     solution = optx.least_squares(rows, solver, point, arguments, has_aux=True, max_steps=None, throw=False)
     # the sum of a point and a step to the edge is beyond it by rounding
     end = jax.tree.map(lambda p, edge: jnp.clip(p, -edge, edge), solution.value, limit)
