@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from .factor import solve_upper, triangle
 
@@ -336,7 +336,7 @@ class ChainMarquardt(optx.AbstractGaussNewton):
         return done | stuck | late, result
 
 
-def minimise(rows, point: Point, arguments, limit: Point, linear: int, max_steps, tolerance=0.05):
+def minimise(rows, point: Point, arguments, limit: Point, linear: int, max_steps, tolerance: ArrayLike = 0.05):
     """The least sum of squares within |unknown| <= `limit` by Levenberg-Marquardt on optimistix' loop.
 
     **Arguments:** `rows(point, arguments)` gives `Rows`, linear about `point`, and what is known besides; `linear` as
@@ -344,7 +344,7 @@ def minimise(rows, point: Point, arguments, limit: Point, linear: int, max_steps
     **Returns:** the point, what `rows` knew at it, the number of steps and optimistix' result; nothing is raised.
     """
     descent = ChainDescent(limit, linear)
-    solver = ChainMarquardt(descent, max_steps=jnp.asarray(max_steps), tolerance=jnp.asarray(tolerance))
+    solver = ChainMarquardt(descent=descent, max_steps=jnp.asarray(max_steps), tolerance=jnp.asarray(tolerance))
     solution = optx.least_squares(rows, solver, point, arguments, has_aux=True, max_steps=None, throw=False)
     # the sum of a point and a step to the edge is beyond it by rounding
     end = jax.tree.map(lambda p, edge: jnp.clip(p, -edge, edge), solution.value, limit)

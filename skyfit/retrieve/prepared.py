@@ -33,7 +33,7 @@ from .sampling import Sampling
 
 # spread of the logistic numbers of random starts: most of each range, not its ends
 _START_SPREAD = 1.5
-# of the stated noise, or more, is the samples' own: with less, what is left on a real sky, which is smooth, is taken for
+# of the stated noise, or more, is the samples' own: with less, what is left on a real sky, which is smooth, passes for
 # pointing errors of degrees
 _LEAST = 1.0
 # wavelengths that tell the sizes of particles: so many, and the longest by the shortest
