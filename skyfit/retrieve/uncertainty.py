@@ -242,6 +242,40 @@ def _correlation(one: Problem, value) -> Float[Array, " neighbour"]:
     return jnp.stack([spectral, angular]) / jnp.where(size > 0.0, size, 1.0)
 
 
+def _moved(blocks: Blocks):
+    """How much each side moves the parameters of each time and what all times share, which come last."""
+    mine, shared = solve_chain(blocks)
+    return jnp.concatenate([mine, jnp.broadcast_to(shared[None], (mine.shape[0], *shared.shape))], axis=1)
+
+
+def _by_noise(blocks: Blocks, noise, priors: slice, excess, all_excess, prior_error):
+    """The covariance of each time's parameters and what all share by the noise and the priors of all times.
+
+    **Arguments:** `blocks`, damped; `noise` `[time, row, effect]`, right-hand sides of each time's first rows;
+    `priors`, its rows of priors; `excess` of each time's, `all_excess` of links; `prior_error` of what all share.
+    """
+    times, effects, count = noise.shape[0], noise.shape[1], blocks.own.shape[2]
+    sides, kind = effects + 2 * count, noise.dtype
+    # rows that only guard have no error
+    error = jnp.pad(prior_error, (0, blocks.prior.shape[0] - prior_error.size))
+
+    def add(total, source):
+        """What the errors of one time more move; those of what is shared come last."""
+        here = (jnp.arange(times) == source)[:, None, None]
+        ties = jnp.where(here, jnp.eye(count, dtype=kind)[None], 0.0)
+        right = jnp.zeros((times, blocks.own.shape[1], sides), kind)
+        right = right.at[:, :effects, :effects].set(jnp.where(here, noise, 0.0))
+        right = right.at[:, priors, effects : effects + count].set(ties * excess[:, None, None])
+        steps = jnp.zeros((times - 1, count, sides), kind)
+        steps = steps.at[:, :, effects + count :].set(ties[: times - 1] * all_excess)
+        last = jnp.where(source == times, jnp.eye(error.size, sides, dtype=kind) * error[:, None], 0.0)
+        shift = _moved(blocks._replace(right=right, prior_right=last, step_right=steps))
+        return total + jnp.einsum("tpk,tqk->tpq", shift, shift), None
+
+    columns = count + blocks.common.shape[2]
+    return jax.lax.scan(add, jnp.zeros((times, columns, columns), kind), jnp.arange(times + 1))[0]
+
+
 def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Priors, found: End) -> Estimate:
     """Values, covariances and gains where a search has ended, parameters in the order own, shared."""
     end, known = found.point, found.known
@@ -318,34 +352,12 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     triangles = jax.vmap(triangle)(order)[:, scales:, scales:]
     safe = damped(blocks, size)
 
-    def moves(blocks: Blocks):
-        """How much each side moves the parameters of each time and what all times share."""
-        mine, shared = solve_chain(blocks)
-        return jnp.concatenate([mine, jnp.broadcast_to(shared[None], (times, *shared.shape))], axis=1)
-
-    def add(total, source):
-        """The covariance by the noise and the priors of one time more; those of what is shared come last."""
-        here = jnp.arange(times) == source
-        mine = jnp.where(here[:, None, None], noise, 0.0)
-        columns = noise.shape[1]
-        ties = jnp.where(here[:, None, None], jnp.eye(own_count, dtype=own.dtype)[None], 0.0)
-        right = jnp.zeros((times, safe.own.shape[1], columns + 2 * own_count), own.dtype)
-        right = right.at[:, :columns, :columns].set(mine)
-        first = own.shape[1] - own_count
-        right = right.at[:, first : own.shape[1], columns : columns + own_count].set(ties * excess[:, None, None])
-        steps = jnp.zeros((times - 1, own_count, right.shape[2]), own.dtype)
-        steps = steps.at[:, :, columns + own_count :].set(ties[: times - 1] * all_excess)
-        # rows that only guard have no error
-        error = jnp.pad(prior_error, (0, safe.prior.shape[0] - prior_error.size))
-        last = jnp.where(source == times, jnp.eye(error.size, right.shape[2], dtype=own.dtype) * error[:, None], 0.0)
-        shift = moves(safe._replace(right=right, prior_right=last, step_right=steps))
-        return total + jnp.einsum("tpk,tqk->tpq", shift, shift), None
-
-    total, _ = jax.lax.scan(add, jnp.zeros_like(spreads), jnp.arange(times + 1))
+    rows = slice(own.shape[1] - own_count, own.shape[1])
+    total = _by_noise(safe, noise, rows, excess, all_excess, prior_error)
     # what is not determined has no sigma
     unknown = jnp.isinf(jnp.diagonal(spreads, axis1=1, axis2=2))
     total = jnp.where(unknown[:, :, None] | unknown[:, None], spreads, total)
-    shift = moves(safe)[:, :count] * spread[..., None]
+    shift = _moved(safe)[:, :count] * spread[..., None]
     both = spread[:, :, None] * spread[:, None, :]
 
     def gain_at(item):
