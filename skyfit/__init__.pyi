@@ -3,6 +3,7 @@ from . import (
     analytic as analytic,
     atmosphere as atmosphere,
     draw as draw,
+    image as image,
     light as light,
     measured as measured,
     numerics as numerics,
@@ -49,6 +50,7 @@ from .atmosphere import (
     TwoTermHenyeyGreenstein as TwoTermHenyeyGreenstein,
 )
 from .draw import plot as plot
+from .image import Camera as Camera, Image as Image, render as render
 from .light import daylight as daylight, srgb as srgb, srgb_from_linear as srgb_from_linear, xyY as xyY, xyz as xyz
 from .measured import (
     NoiseModel as NoiseModel,

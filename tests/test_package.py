@@ -24,7 +24,7 @@ FLOORS = (
     {"transport", "measured"},
     {"analytic", "retrieve"},
     {"records"},
-    {"draw"},
+    {"draw", "image"},
     {"cli"},
 )
 HEIGHT = {name: height for height, names in enumerate(FLOORS) for name in names}

@@ -1,0 +1,174 @@
+"""`skyfit render`."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .known import SEA_LEVEL_PRESSURE
+from .options import app, in_range, PresetName, PresetOption
+
+
+class ProjectionName(StrEnum):
+    """How a picture lies on the sphere."""
+
+    equirect = "equirect"
+    fisheye = "fisheye"
+    perspective = "perspective"
+
+
+class SunName(StrEnum):
+    """What becomes of the sun."""
+
+    disc = "disc"
+    none = "none"
+    lamp = "lamp"
+
+
+class ToneName(StrEnum):
+    """What becomes of what is brighter than white."""
+
+    filmic = "filmic"
+    clip = "clip"
+
+
+class SpaceName(StrEnum):
+    """Spaces of colour."""
+
+    srgb = "srgb"
+    rec2020 = "rec2020"
+    acescg = "acescg"
+    xyz = "xyz"
+
+
+# formulas beside the solvers
+_FORMULAS = ("extended", "published")
+
+
+@app.command()
+def render(
+    out: Annotated[Path, typer.Option(help="picture to write: .exr, linear, or .png, developed")],
+    sun_zenith: Annotated[float | None, typer.Option(help="degrees; or --time and --at")] = None,
+    sun_azimuth: Annotated[
+        float | None, typer.Option(help="degrees clockwise from north  [default: 180]", show_default=False)
+    ] = None,
+    time: Annotated[str | None, typer.Option(help="ISO, UTC, with --at")] = None,
+    at: Annotated[str | None, typer.Option(help="LAT,LON in degrees, north and east positive")] = None,
+    turbidity: Annotated[
+        float | None, typer.Option(help="Preetham's, at 550 nm (>= 1)  [default: 3]", show_default=False)
+    ] = None,
+    atmosphere: Annotated[
+        Path | None, typer.Option(help="TOML or JSON with constituents and ground, instead of --turbidity")
+    ] = None,
+    solver: Annotated[
+        str,
+        typer.Option(metavar="[spherical|orders|single|double|extended|published|FILE]", help="FILE: coefficients"),
+    ] = "spherical",
+    preset: PresetOption = PresetName.normal,
+    height: Annotated[float, typer.Option(help="of the observer, m; other than spherical: on the ground")] = 2.0,
+    ground_albedo: Annotated[float, typer.Option(help="of a Lambertian ground")] = 0.1,
+    projection: Annotated[
+        ProjectionName,
+        typer.Option(
+            help="equirect: zenith on top, azimuth growing to the right; fisheye: looks up, north up, east right"
+        ),
+    ] = ProjectionName.equirect,
+    size: Annotated[str, typer.Option(metavar="WxH", help="pixels")] = "1024x512",
+    azimuth: Annotated[
+        float | None, typer.Option(help="degrees, of the middle column  [default: the sun's]", show_default=False)
+    ] = None,
+    elevation: Annotated[float, typer.Option(help="degrees, of the middle, perspective")] = 20.0,
+    field_of_view: Annotated[
+        float | None, typer.Option(help="degrees  [default: fisheye 180, perspective 70]", show_default=False)
+    ] = None,
+    mirror: Annotated[
+        bool, typer.Option("--mirror", help="fisheye with east left, as all-sky cameras have it")
+    ] = False,
+    sun: Annotated[SunName, typer.Option(help="disc, or left out; lamp: left out, and written beside as JSON")] = (
+        SunName.disc
+    ),
+    exposure: Annotated[
+        float | None, typer.Option(help="value at ISO 100, of a .png  [default: by the mean]", show_default=False)
+    ] = None,
+    white_balance: Annotated[
+        float | None, typer.Option(help="K of the daylight that is white  [default: D65]", show_default=False)
+    ] = None,
+    tone: Annotated[ToneName, typer.Option(help="of a .png: a shoulder, or cut off at white")] = ToneName.filmic,
+    space: Annotated[SpaceName, typer.Option(help="of an .exr")] = SpaceName.srgb,
+    half: Annotated[bool, typer.Option("--half", help=".exr in half precision, scaled by its whiteLuminance")] = False,
+):
+    """Render a picture of the sky, the ground and the sun.
+
+    An .exr holds cd/m2, and which way it is up in its comments.
+    """
+    import jax
+    import numpy as np
+
+    from ..analytic import ExtendedPreetham, Preetham
+    from ..atmosphere import Atmosphere, Ground
+    from ..image import Camera
+    from ..image.render import render as rendered
+    from ..records import read_coefficients
+    from ..transport import SOLVERS
+    from .models import atmosphere_of
+    from .options import GeometryName
+    from .printing import console, progress
+    from .sun import sun_of
+
+    # a picture needs no more
+    jax.config.update("jax_enable_x64", False)
+    if out.suffix not in (".exr", ".png") or not out.absolute().parent.is_dir():
+        raise ValueError(f"`--out` must be a .exr or .png file in a folder that is there, got {out}")
+    in_range("--ground-albedo", ground_albedo, 0.0, 1.0)
+    if atmosphere is not None and turbidity is not None:
+        raise ValueError("`--turbidity` must be left out with `--atmosphere`, whose file holds the haze")
+    haze = in_range("--turbidity", 3.0 if turbidity is None else turbidity, 1.0, 50.0)
+    asked: dict = {}
+    if solver in SOLVERS:
+        chosen = getattr(SOLVERS[solver], preset.value)(
+            GeometryName.flat.value if solver == "uniform" else GeometryName.spherical.value
+        )
+        lowest, asked = chosen.suns.largest_deg, {"solver": chosen, "height": height}
+        sky = (
+            atmosphere_of(atmosphere)
+            if atmosphere
+            else Atmosphere.from_turbidity(haze).replace(ground=Ground(ground_albedo))
+        )
+    else:
+        if atmosphere is not None:
+            raise ValueError(
+                f"`--atmosphere` must be left out with `--solver {solver}`: it is that of the formula's fit"
+            )
+        if solver not in _FORMULAS and not Path(solver).is_file():
+            raise ValueError(
+                f"`--solver` must be one of {', '.join((*SOLVERS, *_FORMULAS))} or a coefficients.json, got {solver!r}"
+            )
+        known = {"extended": ExtendedPreetham.shipped, "published": Preetham.published}
+        sky = known.get(solver, lambda: read_coefficients(solver))()
+        lowest, asked = 92.0, {"turbidity": haze, "ground_albedo": ground_albedo}
+    zenith, around, _ = sun_of(sun_zenith, sun_azimuth, time, at, SEA_LEVEL_PRESSURE, lowest)
+    width, rows = _size(size)
+    view = None if field_of_view is None else float(np.radians(field_of_view))
+    camera = Camera(
+        projection.value, width, rows, float(np.radians(around if azimuth is None else azimuth)),
+        float(np.radians(elevation)), view, mirror,
+    )  # fmt: skip
+    with progress("rendering"):
+        picture = rendered(
+            sky, camera, sun_zenith=float(np.radians(zenith)), sun_azimuth=float(np.radians(around)), sun=sun.value,
+            **asked,
+        )  # fmt: skip
+        picture.save(out, exposure=exposure, white_balance=white_balance, tone=tone.value, space=space.value, half=half)
+    if sun is SunName.lamp:
+        picture.save_lamp(out.with_suffix(".lamp.json"))
+    console.print(f"{out}: {picture.told()}", highlight=False)
+    if out.suffix == ".png":
+        console.print(f"white: {picture.white(exposure):.4g} cd m-2", highlight=False)
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, cross, height = text.partition("x")
+    if not (cross and width.isdigit() and height.isdigit()):
+        raise ValueError(f"`--size` must be WxH in pixels, such as 1024x512, got {text!r}")
+    return int(width), int(height)

@@ -1,0 +1,131 @@
+"""Which way each pixel of a picture looks, and how much of the sphere it sees."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Real
+
+from ..numerics import check_range
+
+
+Projection = Literal["equirect", "fisheye", "perspective"]
+# pixels on a side
+_LARGEST = 16384.0
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A picture of `width` by `height` pixels.
+
+    - "equirect": the whole sphere, the zenith as its top row, the azimuth growing to the right.
+    - "fisheye": looks up; the angle from the zenith grows linearly with the distance from the middle and is half of
+      `field_of_view` at the nearer edges, beyond which nothing is seen. North is up; east is right as on a map, or left
+      with `mirrored`, as who lies on his back sees it.
+    - "perspective": a pinhole that spans `field_of_view` from left to right.
+
+    `azimuth`, clockwise from north, of the middle column; `elevation` of the middle of a perspective picture;
+    `field_of_view`, by default pi of a fisheye and 70 degrees of a pinhole: radians, all of them.
+    **Errors:** `ValueError` for what is out of range.
+    """
+
+    projection: Projection = "equirect"
+    width: int = 1024
+    height: int = 512
+    azimuth: float = np.pi
+    elevation: float = 0.0
+    field_of_view: float | None = None
+    mirrored: bool = False
+
+    def __post_init__(self):
+        if self.projection not in ("equirect", "fisheye", "perspective"):
+            raise ValueError(f'`projection` must be "equirect", "fisheye" or "perspective", got {self.projection!r}')
+        for name in ("width", "height"):
+            check_range(name, getattr(self, name), 1.0, _LARGEST, "pixels")
+        check_range("azimuth", self.azimuth, -4.0 * np.pi, 4.0 * np.pi, "rad")
+        check_range("elevation", self.elevation, -0.5 * np.pi, 0.5 * np.pi, "rad")
+        pinhole = self.projection == "perspective"
+        widest = np.radians(170.0) if pinhole else 2.0 * np.pi
+        check_range("field_of_view", self.field_of_view, 1e-4, widest, "rad", self.projection)
+
+    def views(self, first: int = 0, last: int | None = None) -> Float[np.ndarray, "3 row column"]:
+        """Unit vectors east, north, up of the pixels of some rows, the top row first; float32."""
+        row, column = np.mgrid[first : self.height if last is None else last, : self.width].astype(np.float32) + 0.5
+        if self.projection == "equirect":
+            zenith, azimuth = np.pi * row / self.height, self.azimuth + 2.0 * np.pi * (column / self.width - 0.5)
+            sine = np.sin(zenith)
+            return np.stack([sine * np.sin(azimuth), sine * np.cos(azimuth), np.cos(zenith)]).astype(np.float32)
+        x, y = column - 0.5 * self.width, 0.5 * self.height - row
+        if self.projection == "fisheye":
+            angle = self._per_pixel * np.hypot(x, y)
+            # numpy's sinc has pi in it
+            sine = self._per_pixel * np.sinc(angle / np.pi)
+            return np.stack([sine * x * self._east, sine * y, np.cos(angle)]).astype(np.float32)
+        right, up, ahead = self._axes
+        views = ahead[:, None, None] * self._focal + right[:, None, None] * x + up[:, None, None] * y
+        return (views / np.linalg.norm(views, axis=0)).astype(np.float32)
+
+    def solid_angle(self, row: Real[np.ndarray, "*pixel"], column: Real[np.ndarray, "*pixel"]):
+        """Of pixels, by the indices of their rows and columns, sr; 0 where nothing is seen."""
+        if self.projection == "equirect":
+            edge = np.cos(np.pi * np.stack([row, row + 1.0]) / self.height)
+            return 2.0 * np.pi / self.width * (edge[0] - edge[1])
+        distance = np.hypot(column + 0.5 - 0.5 * self.width, row + 0.5 - 0.5 * self.height)
+        if self.projection == "fisheye":
+            size = self._per_pixel**2 * np.abs(np.sinc(self._per_pixel * distance / np.pi))
+            return np.where(self._per_pixel * distance <= 0.5 * self.across, size, 0.0)
+        return self._focal / (self._focal**2 + distance**2) ** 1.5
+
+    def places(
+        self, views: Float[np.ndarray, "3 view"]
+    ) -> tuple[Float[np.ndarray, " view"], Float[np.ndarray, " view"], Bool[np.ndarray, " view"]]:
+        """The rows and columns of the pixels that some views fall on, and whether they are in the picture."""
+        east, north, up = views
+        seen = np.ones(up.shape, bool)
+        if self.projection == "equirect":
+            turn = (np.arctan2(east, north) - self.azimuth) / (2.0 * np.pi) + 0.5
+            row, column = np.arccos(np.clip(up, -1.0, 1.0)) / np.pi * self.height, (turn % 1.0) * self.width
+        elif self.projection == "fisheye":
+            flat = np.hypot(east, north)
+            angle = np.arctan2(flat, up)
+            seen = angle <= 0.5 * self.across
+            length = angle / self._per_pixel / np.where(flat > 0.0, flat, 1.0)
+            row, column = 0.5 * self.height - length * north, 0.5 * self.width + length * east * self._east
+        else:
+            x, y, depth = (axis @ views for axis in self._axes)
+            # what is behind falls outside
+            depth = np.where(depth > 1e-9, depth, np.nan)
+            row, column = 0.5 * self.height - self._focal * y / depth, 0.5 * self.width + self._focal * x / depth
+        inside = seen & (row >= 0.0) & (row < self.height) & (column >= 0.0) & (column < self.width)
+        return np.floor(row), np.floor(column), inside
+
+    @property
+    def across(self) -> float:
+        """The field of view, rad."""
+        usual = np.radians(70.0) if self.projection == "perspective" else np.pi
+        return float(usual if self.field_of_view is None else self.field_of_view)
+
+    @property
+    def _per_pixel(self) -> float:
+        """Radians from the zenith."""
+        return self.across / min(self.width, self.height)
+
+    @property
+    def _east(self) -> float:
+        return -1.0 if self.mirrored else 1.0
+
+    @property
+    def _focal(self) -> float:
+        return 0.5 * self.width / np.tan(0.5 * self.across)
+
+    @property
+    def _axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Right, up and ahead."""
+        sine, cosine, slope, level = np.sin(self.azimuth), np.cos(self.azimuth), *_rise(self.elevation)
+        right = np.array([cosine, -sine, 0.0]) * self._east
+        ahead = np.array([level * sine, level * cosine, slope])
+        return right, np.array([-slope * sine, -slope * cosine, level]), ahead
+
+
+def _rise(elevation: float) -> tuple[float, float]:
+    return np.sin(elevation), np.cos(elevation)

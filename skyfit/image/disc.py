@@ -1,0 +1,51 @@
+"""The sun's disc, whose light is kept at any resolution."""
+
+import numpy as np
+from jaxtyping import Float
+
+from ..light import SUN_SOLID_ANGLE
+from .camera import Camera
+
+
+RADIUS = float(np.sqrt(SUN_SOLID_ANGLE / np.pi))  # rad
+# nm that stand for X, Y and Z
+_OF_OBSERVER = np.array([600.0, 555.0, 450.0])
+# points of the disc, at least and for each pixel that it covers
+_POINTS, _PER_PIXEL = 4000, 40
+
+
+def add_disc(
+    picture: Float[np.ndarray, "row column 3"],
+    camera: Camera,
+    sun_zenith: float,
+    sun_azimuth: float,
+    irradiance: Float[np.ndarray, "3"],
+) -> None:
+    r"""Adds the light of the sun's disc to a picture, in place.
+
+    Points that fill the disc evenly, darker toward its limb as $\mu^{\alpha}$, each give their share of the irradiance
+    to the pixel that they fall on: the sum of radiance times solid angle is `irradiance`, whatever a pixel's size.
+
+    **Arguments:** `picture` X, Y, Z per steradian; `irradiance` X, Y, Z on a plane normal to the beam.
+    **Source:** Hestroffer & Magnan 1998, A&A 333, 338, $\alpha = -0.023 + 0.292 / \lambda$ in um; the disc is round:
+    refraction is left out.
+    """
+    up = np.array([np.sin(sun_zenith) * np.sin(sun_azimuth), np.sin(sun_zenith) * np.cos(sun_azimuth)])
+    middle = np.array([*up, np.cos(sun_zenith)])
+    row, column, inside = camera.places(middle[:, None])
+    covered = np.pi * RADIUS**2 / camera.solid_angle(row, column)[0] if inside[0] else 0.0
+    count = int(min(max(_POINTS, _PER_PIXEL * covered), 4e6))
+    # evenly by area, as seeds of a sunflower
+    share = (np.arange(count) + 0.5) / count
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
+    away = RADIUS * np.sqrt(share)
+    east = np.array([np.cos(sun_azimuth), -np.sin(sun_azimuth), 0.0])
+    north = np.cross(east, middle)
+    tilt = np.sin(away) * np.stack([np.cos(turn), np.sin(turn)])
+    views = np.cos(away) * middle[:, None] + east[:, None] * tilt[0] + north[:, None] * tilt[1]
+    darker = np.sqrt(1.0 - share)[:, None] ** (-0.023 + 292.0 / _OF_OBSERVER)
+    light = irradiance * darker / darker.sum(axis=0)
+    row, column, inside = camera.places(views)
+    row, column, light = row[inside], column[inside], light[inside]
+    light = light / camera.solid_angle(row, column)[:, None]
+    np.add.at(picture, (row.astype(int), column.astype(int)), light.astype(picture.dtype))

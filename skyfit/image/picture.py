@@ -1,0 +1,204 @@
+"""A picture of light, and what screens and files make of it."""
+
+import json
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..light import srgb_from_linear
+from ..measured import atomic
+from ..numerics import check_range
+from .camera import Camera
+
+
+Space = Literal["srgb", "rec2020", "acescg", "xyz"]
+Tone = Literal["filmic", "clip"]
+_NAMES = {"srgb": "sRGB", "rec2020": "ITU-R BT.2020", "acescg": "ACEScg"}
+# white is this many times the mean luminance (cd m^-2) to this power: what was once dark stays a little darker
+_WHITE, _POWER = 8.0, 0.93
+# white at exposure value 0 and ISO 100, cd m^-2: Lagarde & de Rousiers 2014, Moving Frostbite to PBR, sec. 5.1.2
+_WHITE_AT_EV_0 = 1.2
+# of "filmic": how fast its shoulder rises, and how fast colours pale beyond white
+_SHOULDER, _PALER = 1.6, 0.1
+# of half precision
+_LARGEST_HALF = 65504.0
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """The sun as a light: where it is, rad, and X, Y, Z of its beam on a plane normal to it, lx."""
+
+    sun_zenith: float
+    sun_azimuth: float
+    irradiance: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Image:
+    """A picture: `xyz` `[row, column, 3]`, the CIE 1931 observer's X, Y, Z in cd m^-2, the top row first.
+
+    `camera` says which way its pixels look; `lamp` is the sun, whether the picture has it or not; `made_by`, the solver
+    or the formula.
+    """
+
+    xyz: Float[np.ndarray, "row column 3"]
+    camera: Camera
+    lamp: Lamp
+    made_by: str
+
+    def rgb(self, space: Space = "srgb", white_balance: float | None = None) -> Float[np.ndarray, "row column 3"]:
+        """Linear red, green, blue in cd m^-2: three equal values are white of that luminance. Not clipped.
+
+        **Arguments:** `space`; `white_balance`, the temperature (K) of daylight that is to be white, None: the space's
+        own white is. ACEScg, whose white is D60, and "xyz", which has none, are adapted from D65 and not at all.
+        **Source:** matrices and Bradford's adaptation as colour-science has them.
+        """
+        return self.xyz @ _matrix(space, white_balance).astype(np.float32).T
+
+    def white(self, exposure: float | None = None) -> float:
+        """The luminance (cd m^-2) that is white: at an exposure value (ISO 100), None: by the mean luminance.
+
+        The mean is over the sphere that is seen, without what is brighter than a thousand times the median: the sun.
+        """
+        if exposure is not None:
+            check_range("exposure", exposure, -20.0, 30.0)
+            return _WHITE_AT_EV_0 * 2.0**exposure
+        row, column = np.mgrid[: self.camera.height, : self.camera.width].astype(np.float32)
+        luminance = self.xyz[..., 1]
+        seen = np.where(luminance < 1e3 * np.median(luminance), self.camera.solid_angle(row, column), 0.0)
+        mean = float(np.sum(seen * luminance) / max(np.sum(seen), 1e-30))
+        return _WHITE * max(mean, 1e-9) ** _POWER
+
+    def developed(
+        self,
+        exposure: float | None = None,
+        white_balance: float | None = None,
+        tone: Tone = "filmic",
+    ) -> Float[np.ndarray, "row column 3"]:
+        """Encoded sRGB from 0 to 1: of what `white` makes white.
+
+        **Arguments:** `exposure` as `white`; `white_balance` as `rgb`; `tone`: "filmic", whose shoulder is the same for
+        the three channels, so that colours stay, and what is far brighter than white turns white, or "clip".
+        **Source:** IEC 61966-2-1:1999.
+        """
+        if tone not in ("filmic", "clip"):
+            raise ValueError(f'`tone` must be "filmic" or "clip", got {tone!r}')
+        linear = np.maximum(self.rgb("srgb", white_balance) / self.white(exposure), 0.0)
+        if tone == "filmic":
+            peak = np.maximum(linear.max(axis=2, keepdims=True), 1e-12)
+            pale = -np.expm1(-_PALER * np.maximum(peak - 1.0, 0.0))
+            linear = (linear / peak * (1.0 - pale) + pale) * -np.expm1(-_SHOULDER * peak)
+        return np.clip(np.asarray(srgb_from_linear(jnp.asarray(linear))), 0.0, 1.0)
+
+    def save(
+        self,
+        path: str | Path,
+        *,
+        exposure: float | None = None,
+        white_balance: float | None = None,
+        tone: Tone = "filmic",
+        space: Space = "srgb",
+        half: bool = False,
+    ) -> None:
+        """Writes the picture: `.exr`, linear, or `.png`, developed, 8 bits.
+
+        **Arguments:** `exposure` and `tone` of a PNG; `space` and `half` of an EXR: red, green, blue in cd m^-2 times
+        its `whiteLuminance`, which is 1, or with `half` precision a power of two that keeps the largest within it.
+        **Errors:** `ValueError` for another suffix.
+        """
+        path = Path(path)
+        if path.suffix == ".png":
+            from PIL import Image as Pillow
+
+            pixels = np.round(255.0 * self.developed(exposure, white_balance, tone)).astype(np.uint8)
+            with atomic(path) as part, part.open("wb") as file:
+                Pillow.fromarray(pixels).save(file, format="png")
+        elif path.suffix == ".exr":
+            with atomic(path) as part:
+                _write_exr(part, self.rgb(space, white_balance), space, half, self.told())
+        else:
+            raise ValueError(f"`path` must end in .exr or .png, got {path}")
+
+    def told(self) -> str:
+        """Which way the picture is up, and of what sun it is, in words."""
+        camera, lamp = self.camera, self.lamp
+        around = {
+            "equirect": f"the whole sphere, zenith on top, azimuth growing to the right, {_degrees(camera.azimuth)} in "
+            "the middle",
+            "fisheye": f"zenith in the middle, north up, east {'left' if camera.mirrored else 'right'}, "
+            f"{_degrees(camera.across)} across",
+            "perspective": f"toward azimuth {_degrees(camera.azimuth)}, elevation {_degrees(camera.elevation)}, "
+            f"{_degrees(camera.across)} from left to right",
+        }[camera.projection]
+        sun = f"sun {_degrees(lamp.sun_zenith)} from the zenith, azimuth {_degrees(lamp.sun_azimuth)}"
+        return f"skyfit, {self.made_by}; {around}; azimuth clockwise from north; {sun}; cd m-2"
+
+    def save_lamp(self, path: str | Path) -> None:
+        """Writes the sun as JSON: unit vector east, north, up toward it, illuminance, linear sRGB in lx."""
+        lamp = self.lamp
+        sine = np.sin(lamp.sun_zenith)
+        toward = [sine * np.sin(lamp.sun_azimuth), sine * np.cos(lamp.sun_azimuth), np.cos(lamp.sun_zenith)]
+        record = {
+            "toward_east_north_up": [float(v) for v in toward],
+            "sun_zenith_deg": float(np.degrees(lamp.sun_zenith)),
+            "sun_azimuth_deg": float(np.degrees(lamp.sun_azimuth)),
+            "illuminance_lx": lamp.irradiance[1],
+            "xyz_lx": list(lamp.irradiance),
+            "linear_srgb_lx": (_matrix("srgb", None) @ np.array(lamp.irradiance)).tolist(),
+        }
+        with atomic(Path(path)) as part:
+            part.write_text(json.dumps(record, indent=2) + "\n")
+
+
+def _degrees(angle: float) -> str:
+    return f"{np.degrees(angle):.4g} degrees"
+
+
+@lru_cache
+def _matrix(space: str, white_balance: float | None) -> Float[np.ndarray, "3 3"]:
+    """Linear red, green, blue from X, Y, Z, both in cd m^-2."""
+    if space not in (*_NAMES, "xyz"):
+        raise ValueError(f"`space` must be one of {', '.join(_NAMES)}, xyz, got {space!r}")
+    check_range("white_balance", white_balance, 4000.0, 25000.0, "K")
+    from colour import CCS_ILLUMINANTS, RGB_COLOURSPACES, xy_to_XYZ
+    from colour.adaptation import matrix_chromatic_adaptation_VonKries
+    from colour.temperature import CCT_to_xy_CIE_D
+
+    def adapted(of, to):
+        return matrix_chromatic_adaptation_VonKries(xy_to_XYZ(of), xy_to_XYZ(to), transform="Bradford")
+
+    daylight = CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
+    balanced = np.eye(3) if white_balance is None else adapted(CCT_to_xy_CIE_D(white_balance), daylight)
+    if space == "xyz":
+        return balanced
+    known = RGB_COLOURSPACES[_NAMES[space]]
+    own = np.eye(3) if np.allclose(known.whitepoint, daylight, atol=1e-3) else adapted(daylight, known.whitepoint)
+    return known.matrix_XYZ_to_RGB @ own @ balanced
+
+
+def _write_exr(path: Path, rgb: np.ndarray, space: Space, half: bool, told: str) -> None:
+    import OpenEXR
+    from colour import RGB_COLOURSPACES
+
+    scale = 1.0
+    if half:
+        largest = float(np.max(rgb, initial=0.0))
+        scale = 2.0 ** max(np.ceil(np.log2(largest / _LARGEST_HALF)), 0.0) if largest > 0.0 else 1.0
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "whiteLuminance": scale,
+        "comments": told,
+    }
+    if space == "xyz":
+        header["chromaticities"] = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0 / 3.0, 1.0 / 3.0)
+    else:
+        known = RGB_COLOURSPACES[_NAMES[space]]
+        header["chromaticities"] = (*known.primaries.ravel().tolist(), *known.whitepoint.tolist())
+    kind = np.float16 if half else np.float32
+    OpenEXR.File(header, {"RGB": np.ascontiguousarray(rgb / scale, kind)}).write(str(path))

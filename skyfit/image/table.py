@@ -1,0 +1,80 @@
+"""The light around an observer in few directions, and between them."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy import ndimage
+
+
+# nodes of the zenith angle above and below the horizon, and of the azimuth from the sun
+_ABOVE, _BELOW, _AROUND = 128, 64, 96
+# the share of them that crowd toward the sun and the horizon, and from how near on, rad: from an eye's height the
+# ground of the last kilometres lies within a hundredth of a degree
+_CROWD, _NEAR_SUN, _NEAR_HORIZON = 0.3, np.radians(0.2), np.radians(0.001)
+# rad: how near to the horizon the nodes go, for at it a view belongs to neither side
+_EDGE = 1e-6
+_DARK = 1e-20
+
+
+class _Side(NamedTuple):
+    """One side of the horizon: nodes of the zenith angle, of the azimuth, and the spline of the light's logarithm."""
+
+    zenith: Float[np.ndarray, " zenith"]
+    azimuth: Float[np.ndarray, " azimuth"]
+    spline: Float[np.ndarray, "3 zenith azimuth"]
+
+
+class LightTable:
+    """X, Y, Z in all directions, by cubic splines of their logarithm through some.
+
+    The light is the same on both sides of the sun's meridian. Nodes crowd the sun and the horizon, which lies
+    at the zenith angle `horizon`; it is an edge. Below it there may be nothing.
+    """
+
+    def __init__(
+        self,
+        light: Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "view 3"]],
+        sun_zenith: float,
+        horizon: float,
+        below: bool,
+    ):
+        azimuth = _nodes(0.0, np.pi, {0.0: _NEAR_SUN}, _AROUND)
+        ends = [(0.0, horizon - _EDGE, _ABOVE), (horizon + _EDGE, np.pi, _BELOW)][: 2 if below else 1]
+        crowds = {horizon: _NEAR_HORIZON, sun_zenith: _NEAR_SUN}
+        zeniths = [_nodes(low, high, crowds, count) for low, high, count in ends]
+        every = np.meshgrid(np.concatenate(zeniths), azimuth, indexing="ij")
+        found = np.maximum(light(*(v.ravel() for v in every)), _DARK).reshape(*every[0].shape, 3)
+        parts = np.split(np.log(found), [zeniths[0].size])
+        self.horizon = horizon
+        self.sides = [
+            _Side(zenith, azimuth, np.stack([ndimage.spline_filter(part[..., k], mode="mirror") for k in range(3)]))
+            for zenith, part in zip(zeniths, parts, strict=False)
+        ]
+
+    def at(self, zenith: Float[np.ndarray, " view"], azimuth: Float[np.ndarray, " view"]) -> np.ndarray:
+        """X, Y, Z `[view, 3]`, 0 where there is nothing; `azimuth` from the sun, rad."""
+        turn = np.abs((azimuth + np.pi) % (2.0 * np.pi) - np.pi)
+        found = np.zeros((zenith.size, 3), np.float32)
+        for side, here in zip(self.sides, (zenith < self.horizon, zenith >= self.horizon), strict=False):
+            place = [
+                np.interp(v[here], nodes, np.arange(nodes.size))
+                for v, nodes in ((zenith, side.zenith), (turn, side.azimuth))
+            ]
+            for k in range(3):
+                log = ndimage.map_coordinates(side.spline[k], place, order=3, mode="mirror", prefilter=False)
+                found[here, k] = np.exp(log)
+        return found
+
+
+def _nodes(low: float, high: float, crowds: dict[float, float], count: int) -> Float[np.ndarray, " node"]:
+    """Nodes from `low` to `high`, denser toward some places, by the inverse of the distance and what counts as near."""
+    beside = [place + side * np.geomspace(1e-6, np.pi, 4001) for place in crowds for side in (-1.0, 1.0)]
+    fine = np.unique(np.clip(np.concatenate([np.linspace(low, high, 8001), *beside]), low, high))
+    density = np.full(fine.size, (1.0 - _CROWD * len(crowds)) / (high - low))
+    for place, size in crowds.items():
+        near = 1.0 / (np.abs(fine - place) + size)
+        density += _CROWD * near / np.trapezoid(near, fine)
+    grown = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(fine))])
+    return np.interp(np.linspace(0.0, grown[-1], count), grown, fine)

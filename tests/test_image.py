@@ -1,0 +1,261 @@
+"""Pictures: which way pixels look, that no light is lost, and that files hold what was rendered."""
+
+import json
+
+import numpy as np
+import OpenEXR
+import PIL.Image
+import pytest
+
+import skyfit
+from skyfit.image.disc import add_disc, RADIUS
+from skyfit.image.render import SPECTRUM
+from skyfit.light import extraterrestrial_irradiance
+
+
+CAMERAS = (
+    skyfit.Camera("equirect", 48, 24, azimuth=1.0),
+    skyfit.Camera("fisheye", 40, 30),
+    skyfit.Camera("fisheye", 30, 30, field_of_view=2.0 * np.pi, mirrored=True),
+    skyfit.Camera("perspective", 40, 30, azimuth=4.0, elevation=0.5, field_of_view=1.2),
+    skyfit.Camera("perspective", 40, 30, azimuth=-1.0, elevation=-0.4, field_of_view=2.5),
+)
+EXTENDED = skyfit.ExtendedPreetham.shipped()
+SUN = {"sun_zenith": np.radians(60.0), "sun_azimuth": np.radians(240.0)}
+
+
+def every(camera):
+    return np.mgrid[: camera.height, : camera.width].astype(float)
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_a_view_falls_on_its_own_pixel(camera):
+    views = camera.views()
+    np.testing.assert_allclose(np.linalg.norm(views, axis=0), 1.0, rtol=1e-6)
+    row, column, inside = camera.places(views.reshape(3, -1).astype(float))
+    seen = camera.solid_angle(*every(camera)).ravel() > 0.0
+    assert inside[seen].all()
+    np.testing.assert_array_equal(np.stack([row, column])[:, seen], every(camera).reshape(2, -1)[:, seen])
+    np.testing.assert_array_equal(camera.views(3, 5), views[:, 3:5])
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_a_pixel_sees_what_its_neighbours_leave_it(camera):
+    """Its solid angle is that of the parallelogram of the steps to the pixels beside it."""
+    views = camera.views().astype(float)
+    middle = camera.height // 2, camera.width // 3
+    down = 0.5 * (views[:, middle[0] + 1, middle[1]] - views[:, middle[0] - 1, middle[1]])
+    right = 0.5 * (views[:, middle[0], middle[1] + 1] - views[:, middle[0], middle[1] - 1])
+    size = camera.solid_angle(np.array(float(middle[0])), np.array(float(middle[1])))
+    assert size == pytest.approx(np.linalg.norm(np.cross(down, right)), rel=0.02)
+    # seen from inside, with down below and right to the right, unless mirrored
+    outward = np.cross(right, down) @ views[:, middle[0], middle[1]]
+    as_map = camera.projection == "fisheye" and not camera.mirrored
+    assert np.sign(outward) == (-1.0 if as_map else 1.0)
+
+
+def test_the_whole_sphere_and_where_things_are():
+    camera = CAMERAS[0]
+    assert camera.solid_angle(*every(camera)).sum() == pytest.approx(4.0 * np.pi, rel=1e-6)
+    # zenith on top, the named azimuth in the middle, growing to the right
+    views = camera.views()
+    assert views[2, 0].min() > 0.99 and np.arctan2(*views[:2, 12, 24]) == pytest.approx(1.0, abs=0.1)
+    assert np.arctan2(*views[:2, 12, 30]) > 1.5
+    fisheye = skyfit.Camera("fisheye", 101, 101)
+    east = fisheye.views()[:, 50, 90]
+    assert east[0] > 0.9 and fisheye.views()[1, 10, 50] > 0.9 and fisheye.views()[2, 50, 50] == 1.0
+    assert skyfit.Camera("fisheye", 101, 101, mirrored=True).views()[0, 50, 90] < -0.9
+    narrow = skyfit.Camera("perspective", 3, 3, azimuth=0.5, elevation=0.3, field_of_view=0.1)
+    np.testing.assert_allclose(narrow.views()[:, 1, 1], skyfit.unit_vectors(0.5 * np.pi - 0.3, 0.5), atol=1e-6)
+    assert narrow.views()[2, 0, 1] > narrow.views()[2, 2, 1]
+
+
+@pytest.mark.parametrize(
+    "camera",
+    (
+        skyfit.Camera("equirect", 64, 32),
+        skyfit.Camera("equirect", 4096, 2048),
+        skyfit.Camera("fisheye", 64, 64),
+        skyfit.Camera("perspective", 256, 256, azimuth=0.7, elevation=np.radians(20.0), field_of_view=0.02),
+    ),
+)
+def test_the_disc_keeps_its_light_at_any_resolution(camera):
+    picture = np.zeros((camera.height, camera.width, 3))
+    beam = np.array([9.0, 10.0, 8.0])
+    add_disc(picture, camera, np.radians(70.0), 0.7, beam)
+    row, column = np.nonzero(picture[..., 1])
+    size = camera.solid_angle(row.astype(float), column.astype(float))
+    np.testing.assert_allclose(size @ picture[row, column], beam, rtol=1e-9)
+    # as wide as the sun, and darker toward the limb, in blue more
+    views = camera.views()[:, row, column]
+    away = np.arccos(np.clip(skyfit.unit_vectors(np.radians(70.0), 0.7) @ views, -1.0, 1.0))
+    assert away.max() < RADIUS + 1.5 * np.sqrt(size.max())
+    if camera.projection == "perspective":
+        assert away.max() == pytest.approx(RADIUS, rel=0.02)
+        inner, outer = (picture[row[w], column[w]].mean(axis=0) for w in (away < 0.2 * RADIUS, away > 0.9 * RADIUS))
+        darker = outer / inner
+        assert 0.4 < darker[1] < 0.7 and darker[2] < darker[1] < darker[0]
+
+
+def test_a_sun_that_the_camera_does_not_see_leaves_no_light():
+    camera = skyfit.Camera("perspective", 32, 32, azimuth=0.0, elevation=0.3, field_of_view=1.0)
+    picture = np.zeros((32, 32, 3))
+    add_disc(picture, camera, np.radians(70.0), np.pi, np.ones(3))
+    assert not picture.any()
+
+
+def on_a_plane(image):
+    """Illuminance on level ground, lx."""
+    row, column = every(image.camera)
+    up = image.camera.views()[2]
+    return float(np.sum(image.xyz[..., 1] * image.camera.solid_angle(row, column) * np.maximum(up, 0.0)))
+
+
+def test_a_formula_is_rendered_as_it_says_and_lights_a_plane():
+    camera = skyfit.Camera("equirect", 512, 256)
+    image = skyfit.render(EXTENDED, camera, turbidity=3.0, sun="none", **SUN)
+    views = skyfit.hemisphere(4000)
+    scene = skyfit.Scene(SUN["sun_zenith"], SUN["sun_azimuth"], views, SPECTRUM, np.ones(SPECTRUM.size))
+    xyz = np.asarray(EXTENDED.xyz(3.0, scene))
+    row, column, _ = camera.places(np.asarray(skyfit.unit_vectors(views.zenith, views.azimuth), float))
+    found = image.xyz[row.astype(int), column.astype(int)]
+    # a pixel is a third of a degree off the view at most
+    assert np.median(np.abs(found / xyz - 1.0)) < 0.01
+    dome = float(np.sum(xyz[:, 1] * np.cos(views.zenith) * views.weight))
+    assert on_a_plane(image) == pytest.approx(dome, rel=3e-3)
+    beam = image.lamp.irradiance[1] * np.cos(SUN["sun_zenith"])
+    lit = skyfit.render(EXTENDED, camera, turbidity=3.0, ground_albedo=0.3, **SUN)
+    assert on_a_plane(lit) == pytest.approx(dome + beam, rel=5e-3)
+    # the ground sends back its share of both
+    assert lit.xyz[-1, 0, 1] == pytest.approx(0.3 / np.pi * (dome + beam), rel=0.01)
+
+
+def test_between_the_directions_that_a_solver_is_asked_for_its_light_is_right():
+    solver, air = skyfit.SingleScattering(16, "spherical"), skyfit.Atmosphere.from_turbidity(3.0)
+    camera = skyfit.Camera("fisheye", 301, 301, field_of_view=np.radians(178.0))
+    image = skyfit.render(air, camera, solver=solver, sun="none", **SUN)
+    off = compared(image, lambda scene: solver.radiance(air, scene), None)
+    assert off.max() < 5e-3 and np.median(off) < 3e-4
+    # a round picture in black
+    assert image.made_by == "SingleScattering" and not image.xyz[0, 0].any() and image.xyz[0, 150, 1] > 0.0
+
+
+def compared(image, radiance, height, count=300, edge=0.006):
+    """Relative differences of Y of random pixels, and of those near the sun, from the solver itself.
+
+    `edge`: the cosine of views that are too near to the horizon.
+    """
+    random = np.random.default_rng(3)
+    views = image.camera.views()
+    lamp = image.lamp
+    near = np.einsum("c,crx->rx", np.asarray(skyfit.unit_vectors(lamp.sun_zenith, lamp.sun_azimuth)), views)
+    row, column = random.integers(0, views.shape[1], count), random.integers(0, views.shape[2], count)
+    around = np.argwhere((near > np.cos(np.radians(6.0))) & (near < np.cos(np.radians(0.4))))
+    if len(around):
+        around = around[random.integers(0, len(around), 50)]
+        row, column = np.concatenate([row, around[:, 0]]), np.concatenate([column, around[:, 1]])
+    kept = image.camera.solid_angle(row, column) > 0.0
+    # below, the ground is not the solver's
+    kept &= (views[2, row, column] > edge) | ((height is not None) & (views[2, row, column] < -edge))
+    row, column = row[kept], column[kept]
+    zenith = np.arccos(np.clip(views[2, row, column].astype(float), -1.0, 1.0))
+    azimuth = np.arctan2(*views[:2, row, column].astype(float))
+    sun = extraterrestrial_irradiance(SPECTRUM, 20.0)
+    scene = skyfit.Scene(lamp.sun_zenith, lamp.sun_azimuth, skyfit.Directions(zenith, azimuth), SPECTRUM, sun, height)
+    true = np.asarray(skyfit.xyz(radiance(scene), SPECTRUM))
+    return np.abs(image.xyz[row, column, 1] / true[:, 1] - 1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("sun", "height"), ((60.0, 2.0), (94.0, 2.0), (70.0, 1e4)))
+def test_spherical_skies_from_the_ground_and_aloft(sun, height):
+    solver, air = skyfit.Spherical.normal(), skyfit.Atmosphere.from_turbidity(3.0)
+    camera = skyfit.Camera("equirect", 400, 200, azimuth=0.5)
+    image = skyfit.render(air, camera, sun_zenith=np.radians(sun), sun_azimuth=0.5, height=height, sun="none")
+    off = compared(image, lambda scene: solver.radiance(air, scene), height)
+    assert off.max() < 5e-3 and np.median(off) < 3e-4
+    assert np.all(np.isfinite(image.xyz)) and image.xyz.min() >= 0.0
+    if height == 2.0:
+        narrow = skyfit.Camera("perspective", 100, 100, azimuth=0.5, field_of_view=np.radians(1.0))
+        image_of_edge = skyfit.render(air, narrow, sun_zenith=np.radians(sun), sun_azimuth=0.5, sun="none")
+        assert compared(image_of_edge, lambda scene: solver.radiance(air, scene), height, edge=1e-3).max() < 0.02
+        light = solver.fluxes(
+            air, skyfit.Scene(np.radians(sun), 0.5, skyfit.hemisphere(1), SPECTRUM,
+                              extraterrestrial_irradiance(SPECTRUM, 20.0))
+        )  # fmt: skip
+        beam = image.lamp.irradiance[1] * max(np.cos(np.radians(sun)), 0.0)
+        diffuse = float(skyfit.xyz(light.diffuse_down, SPECTRUM)[1])
+        assert on_a_plane(image) == pytest.approx(diffuse, rel=0.02)
+        assert beam == pytest.approx(float(skyfit.xyz(light.direct, SPECTRUM)[1]), rel=1e-3, abs=1e-6)
+
+
+@pytest.fixture(scope="module")
+def image():
+    return skyfit.render(EXTENDED, skyfit.Camera("equirect", 64, 32), turbidity=3.0, **SUN)
+
+
+def test_files_hold_the_picture(image, tmp_path):
+    image.save(tmp_path / "a.exr")
+    with OpenEXR.File(str(tmp_path / "a.exr")) as file:
+        header, pixels = file.header(), file.channels()["RGB"].pixels
+        np.testing.assert_array_equal(pixels, image.rgb())
+        assert header["whiteLuminance"] == 1.0 and "zenith on top" in header["comments"]
+        np.testing.assert_allclose(header["chromaticities"][:2], (0.64, 0.33), atol=1e-6)
+    image.save(tmp_path / "b.exr", half=True, space="xyz")
+    with OpenEXR.File(str(tmp_path / "b.exr")) as file:
+        scale, pixels = file.header()["whiteLuminance"], file.channels()["RGB"].pixels
+        assert pixels.dtype == np.float16 and np.isfinite(pixels).all() and scale > 1.0
+        np.testing.assert_allclose(pixels.astype(float) * scale, image.xyz, rtol=1e-3, atol=scale * 1e-4)
+    image.save(tmp_path / "a.png", exposure=14.0, tone="clip")
+    png = np.asarray(PIL.Image.open(tmp_path / "a.png"))
+    expected = image.developed(14.0, tone="clip")
+    assert png.shape == (32, 64, 3) and np.abs(png / 255.0 - expected).max() <= 0.5 / 255.0 + 1e-6
+    # blue above, and the sun white
+    assert png[4, 5, 2] > png[4, 5, 0] and png.max() == 255
+    image.save_lamp(tmp_path / "lamp.json")
+    lamp = json.loads((tmp_path / "lamp.json").read_text())
+    assert lamp["toward_east_north_up"][2] == pytest.approx(0.5) and 4e4 < lamp["illuminance_lx"] < 1.2e5
+    with pytest.raises(ValueError, match="must end in .exr or .png"):
+        image.save(tmp_path / "a.jpg")
+
+
+def test_colours_are_those_of_the_spaces(image):
+    import colour
+
+    for space, name in (("srgb", "sRGB"), ("rec2020", "ITU-R BT.2020"), ("acescg", "ACEScg")):
+        known = colour.XYZ_to_RGB(image.xyz.astype(float), name, colour.CCS_ILLUMINANTS[
+            "CIE 1931 2 Degree Standard Observer"]["D65"], chromatic_adaptation_transform="Bradford")  # fmt: skip
+        np.testing.assert_allclose(image.rgb(space), known, rtol=2e-3, atol=1e-3 * np.abs(known).max())
+    # daylight of 5000 K is white after the balance to it
+    white = colour.xy_to_XYZ(colour.temperature.CCT_to_xy_CIE_D(5000.0))
+    one = skyfit.Image(np.asarray(white, np.float32)[None, None], image.camera, image.lamp, "a test")
+    np.testing.assert_allclose(one.rgb("srgb", 5000.0), 1.0, atol=2e-3)
+    with pytest.raises(ValueError, match="`white_balance` must be"):
+        image.rgb("srgb", 100.0)
+
+
+def test_the_law_of_exposure_is_even(image):
+    assert image.white(15.0) == 2.0 * image.white(14.0)
+    brighter = skyfit.Image(image.xyz * 10.0, image.camera, image.lamp, "a test")
+    assert brighter.white() / image.white() == pytest.approx(10.0**0.93, rel=1e-4)
+    # the sun has no say in it
+    without = skyfit.render(EXTENDED, image.camera, turbidity=3.0, sun="none", **SUN)
+    assert image.white() == pytest.approx(without.white(), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    (
+        ({"turbidity": None}, "must come with `turbidity`"),
+        ({"height": -1.0}, "`height`"),
+        ({"ground_albedo": 2.0}, "`ground_albedo`"),
+        ({"turbidity": 60.0}, "turbidity"),
+    ),
+)
+def test_what_cannot_be_rendered_is_refused(change, said):
+    with pytest.raises(ValueError, match=said):
+        skyfit.render(EXTENDED, CAMERAS[0], **({"turbidity": 3.0} | SUN | change))
+    with pytest.raises(ValueError, match="`turbidity` must be left out"):
+        skyfit.render(skyfit.Atmosphere.from_turbidity(2.0), turbidity=3.0, **SUN)
+    with pytest.raises(ValueError, match="`width` must be"):
+        skyfit.Camera(width=0)
