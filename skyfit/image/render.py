@@ -50,8 +50,8 @@ def render(
     `ground_albedo` below an analytic sky, an atmosphere has its own.
     **Returns:** `Image`, X, Y, Z in cd m^-2. **Errors:** `ValueError` for what the solver or the sky does not know.
     **Valid:** a solver is asked for 18000 directions (12000 without ground), between which the light is interpolated,
-    within 0.5 %, in the first fifth of a degree under the horizon 2 % (tests); an analytic sky for every pixel. Below the horizon of others than `Spherical` the ground is
-    lit evenly and no air lies before it. Refraction is left out.
+    within 0.5 %, in the first fifth of a degree under the horizon 2 % (tests); an analytic sky for every pixel. Below
+    the horizon of others than `Spherical` the ground is lit evenly and no air lies before it. No refraction.
     """
     camera = Camera() if camera is None else camera
     sun_zenith, sun_azimuth, height = float(sun_zenith), float(sun_azimuth), float(height)
