@@ -42,4 +42,4 @@ def test_its_python_runs(tmp_path: Path):
     script.write_text("\n".join(blocks) + check)
     done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "fit.png").exists() and (tmp_path / "fit.json").exists()
+    assert all((tmp_path / name).exists() for name in ("fit.png", "fit.json", "sunset.png"))
