@@ -189,6 +189,26 @@ def test_spherical_skies_from_the_ground_and_aloft(sun, height):
         assert beam == pytest.approx(float(skyfit.xyz(light.direct, SPECTRUM)[1]), rel=1e-3, abs=1e-6)
 
 
+@pytest.mark.slow
+def test_the_limb_from_space_fades_into_black():
+    solver, air = skyfit.Spherical.normal(), skyfit.Atmosphere.from_turbidity(2.0)
+    camera = skyfit.Camera("perspective", 40, 200, azimuth=0.5, elevation=np.radians(-19.2), field_of_view=0.014)
+    image = skyfit.render(air, camera, sun_zenith=np.radians(100.0), sun_azimuth=0.5, height=400e3, sun="none")
+    row = image.xyz[:, 20, 1].astype(float)
+    assert row[0] == 0.0 and row[-1] > 0.0
+    lit = np.flatnonzero(row > 1e-3 * row.max())
+    views = image.camera.views()[:, lit[::8], 20].astype(float)
+    there = skyfit.Directions(np.arccos(views[2]), np.arctan2(views[0], views[1]))
+    sun = extraterrestrial_irradiance(SPECTRUM, 20.0)
+    scene = skyfit.Scene(np.radians(100.0), 0.5, there, SPECTRUM, sun, 400e3)
+    true = np.asarray(skyfit.xyz(solver.radiance(air, scene), SPECTRUM))[:, 1]
+    off = np.abs(row[lit[::8]] / true - 1.0)
+    # the horizon cuts a pixel
+    assert np.sort(off)[-2] < 0.02 and np.median(off) < 2e-3
+    # no light above that is not there
+    assert np.all(np.diff(row[: lit[0]]) > -1e-3 * row.max())
+
+
 @pytest.fixture(scope="module")
 def image():
     return skyfit.render(EXTENDED, skyfit.Camera("equirect", 64, 32), turbidity=3.0, **SUN)

@@ -12,7 +12,7 @@ from ..light import extraterrestrial_irradiance, SRGB_FROM_XYZ, xyz
 from ..numerics import check_range
 from ..scene import Directions, Scene
 from ..transport import AbstractSolver, Spherical
-from ..transport.columns import EARTH_RADIUS
+from ..transport.columns import EARTH_RADIUS, TOP_OF_AIR
 from ..transport.optics import optics, transmitted_sun
 from .camera import Camera
 from .disc import add_disc
@@ -114,8 +114,9 @@ def _of_solver(solver: AbstractSolver, sky: Atmosphere, sun_zenith: float, sun_a
             found[first : first + here] = np.asarray(xyz(radiance(views), SPECTRUM))[:here]
         return found
 
-    horizon = 0.5 * np.pi + (np.arccos(EARTH_RADIUS / (EARTH_RADIUS + height)) if aloft else 0.0)
-    table = LightTable(light, sun_zenith, horizon, aloft)
+    horizon = np.pi - _tangent(EARTH_RADIUS, height) if aloft else 0.5 * np.pi
+    air = np.pi - _tangent(EARTH_RADIUS + TOP_OF_AIR, height) if aloft and height > TOP_OF_AIR else 0.0
+    table = LightTable(light, sun_zenith, air, horizon, aloft)
     constituents = sky.constituents
     through = transmitted_sun(constituents, scene, optics(constituents, scene.wavelength_nm).extinction, "spherical")
     beam = np.asarray(xyz(through * scene.solar_irradiance, SPECTRUM))
@@ -132,6 +133,11 @@ def _of_solver(solver: AbstractSolver, sky: Atmosphere, sun_zenith: float, sun_a
         return found
 
     return pixels, beam
+
+
+def _tangent(radius: float, height: float) -> float:
+    """The nadir angle of views that touch a sphere about the Earth's centre."""
+    return float(np.arcsin(radius / (EARTH_RADIUS + height)))
 
 
 def _of_formula(sky: AbstractAnalyticSky, turbidity: float, sun_zenith: float, sun_azimuth: float, albedo: float):

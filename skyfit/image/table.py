@@ -30,24 +30,26 @@ class LightTable:
     """X, Y, Z in all directions, by cubic splines of their logarithm through some.
 
     The light is the same on both sides of the sun's meridian. Nodes crowd the sun and the horizon, which lies
-    at the zenith angle `horizon`; it is an edge. Below it there may be nothing.
+    at the zenith angle `horizon`; it is an edge. Above `air`, seen from outside of it, and perhaps below the horizon
+    there is nothing.
     """
 
     def __init__(
         self,
         light: Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "view 3"]],
         sun_zenith: float,
+        air: float,
         horizon: float,
         below: bool,
     ):
         azimuth = _nodes(0.0, np.pi, {0.0: _NEAR_SUN}, _AROUND)
-        ends = [(0.0, horizon - _EDGE, _ABOVE), (horizon + _EDGE, np.pi, _BELOW)][: 2 if below else 1]
+        ends = [(air, horizon - _EDGE, _ABOVE), (horizon + _EDGE, np.pi, _BELOW)][: 2 if below else 1]
         crowds = {horizon: _NEAR_HORIZON, sun_zenith: _NEAR_SUN}
         zeniths = [_nodes(low, high, crowds, count) for low, high, count in ends]
         every = np.meshgrid(np.concatenate(zeniths), azimuth, indexing="ij")
         found = np.maximum(light(*(v.ravel() for v in every)), _DARK).reshape(*every[0].shape, 3)
         parts = np.split(np.log(found), [zeniths[0].size])
-        self.horizon = horizon
+        self.air, self.horizon = air, horizon
         self.sides = [
             _Side(zenith, azimuth, np.stack([ndimage.spline_filter(part[..., k], mode="mirror") for k in range(3)]))
             for zenith, part in zip(zeniths, parts, strict=False)
@@ -57,7 +59,9 @@ class LightTable:
         """X, Y, Z `[view, 3]`, 0 where there is nothing; `azimuth` from the sun, rad."""
         turn = np.abs((azimuth + np.pi) % (2.0 * np.pi) - np.pi)
         found = np.zeros((zenith.size, 3), np.float32)
-        for side, here in zip(self.sides, (zenith < self.horizon, zenith >= self.horizon), strict=False):
+        for side, here in zip(
+            self.sides, ((zenith >= self.air) & (zenith < self.horizon), zenith >= self.horizon), strict=False
+        ):
             place = [
                 np.interp(v[here], nodes, np.arange(nodes.size))
                 for v, nodes in ((zenith, side.zenith), (turn, side.azimuth))
