@@ -48,6 +48,7 @@ _FORMULAS = ("extended", "published")
 
 @app.command()
 def render(
+    context: typer.Context,
     out: Annotated[Path, typer.Option(help="picture to write: .exr, linear, or .png, developed")],
     sun_zenith: Annotated[float | None, typer.Option(help="degrees; or --time and --at")] = None,
     sun_azimuth: Annotated[
@@ -116,8 +117,8 @@ def render(
     from .printing import console, progress
     from .sun import sun_of
 
-    # a picture needs no more
-    jax.config.update("jax_enable_x64", False)
+    # a picture needs no more than float32
+    context.with_resource(jax.enable_x64(False))
     if out.suffix not in (".exr", ".png") or not out.absolute().parent.is_dir():
         raise ValueError(f"`--out` must be a .exr or .png file in a folder that is there, got {out}")
     in_range("--ground-albedo", ground_albedo, 0.0, 1.0)
