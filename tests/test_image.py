@@ -107,6 +107,14 @@ def test_a_sun_that_the_camera_does_not_see_leaves_no_light():
     assert not picture.any()
 
 
+def test_the_horizon_hides_half_of_a_setting_disc():
+    camera = skyfit.Camera("perspective", 200, 200, azimuth=0.0, field_of_view=0.02)
+    picture = np.zeros((200, 200, 3))
+    add_disc(picture, camera, 0.5 * np.pi, 0.0, np.ones(3))
+    light = np.sum(picture[..., 1] * camera.solid_angle(*every(camera)))
+    assert light == pytest.approx(0.5, abs=0.01) and not picture[100:].any()
+
+
 def on_a_plane(image):
     """Illuminance on level ground, lx."""
     row, column = every(image.camera)
@@ -208,6 +216,9 @@ def test_the_limb_from_space_fades_into_black():
     off = np.abs(row[lit[::8]] / true - 1.0)
     # the horizon cuts a pixel
     assert np.sort(off)[-2] < 0.02 and np.median(off) < 2e-3
+    # up there the sun is ten degrees above the limb, and no air before it
+    space = float(skyfit.xyz(sun, SPECTRUM)[1])
+    assert image.lamp.irradiance[1] == pytest.approx(space, rel=1e-3)
     # no light above that is not there
     assert np.all(np.diff(row[: lit[0]]) > -1e-3 * row.max())
 
@@ -280,6 +291,8 @@ def test_what_cannot_be_rendered_is_refused(change, said):
         skyfit.render(EXTENDED, CAMERAS[0], **({"turbidity": 3.0} | SUN | change))
     with pytest.raises(ValueError, match="`turbidity` must be left out"):
         skyfit.render(skyfit.Atmosphere.from_turbidity(2.0), turbidity=3.0, **SUN)
+    with pytest.raises(ValueError, match="`height` must be left at 2 m"):
+        skyfit.render(skyfit.Atmosphere.from_turbidity(2.0), solver=skyfit.SingleScattering(), height=1e4, **SUN)
     with pytest.raises(ValueError, match="`width` must be"):
         skyfit.Camera(width=0)
 

@@ -20,13 +20,15 @@ def add_disc(
     sun_zenith: float,
     sun_azimuth: float,
     irradiance: Float[np.ndarray, "3"],
+    horizon: float = 0.5 * np.pi,
 ) -> None:
     r"""Adds the light of the sun's disc to a picture, in place.
 
     Points that fill the disc evenly, darker toward its limb as $\mu^{\alpha}$, each give their share of the irradiance
     to the pixel that they fall on: the sum of radiance times solid angle is `irradiance`, whatever a pixel's size.
 
-    **Arguments:** `picture` X, Y, Z per steradian; `irradiance` X, Y, Z on a plane normal to the beam.
+    **Arguments:** `picture` X, Y, Z per steradian; `irradiance` X, Y, Z of the whole disc on a plane normal to it;
+    `horizon`, the zenith angle below which its points are hidden, rad.
     **Source:** Hestroffer & Magnan 1998, A&A 333, 338, $\alpha = -0.023 + 0.292 / \lambda$ in um; the disc is round:
     refraction is left out.
     """
@@ -46,6 +48,7 @@ def add_disc(
     darker = np.sqrt(1.0 - share)[:, None] ** (-0.023 + 292.0 / _OF_OBSERVER)
     light = irradiance * darker / darker.sum(axis=0)
     row, column, inside = camera.places(views)
+    inside &= views[2] > np.cos(horizon)
     row, column, light = row[inside], column[inside], light[inside]
     light = light / camera.solid_angle(row, column)[:, None]
     np.add.at(picture, (row.astype(int), column.astype(int)), light.astype(picture.dtype))

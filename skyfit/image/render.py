@@ -9,11 +9,11 @@ from ..analytic import Sunlight
 from ..analytic.analytic import AbstractAnalyticSky
 from ..atmosphere import Atmosphere
 from ..light import extraterrestrial_irradiance, SRGB_FROM_XYZ, xyz
-from ..numerics import check_range
+from ..numerics import as_float, check_range
 from ..scene import Directions, Scene
 from ..transport import AbstractSolver, Spherical
-from ..transport.columns import EARTH_RADIUS, TOP_OF_AIR
-from ..transport.optics import optics, transmitted_sun
+from ..transport.columns import EARTH_RADIUS, slant_columns, TOP_OF_AIR
+from ..transport.optics import optics
 from .camera import Camera
 from .disc import add_disc
 from .picture import Image, Lamp
@@ -45,7 +45,7 @@ def render(
 
     **Arguments:** `sky`, an atmosphere, or an analytic sky with its `turbidity`; `camera`, by default the whole sphere
     in 1024 by 512 pixels; `sun_zenith`, `sun_azimuth` clockwise from north, rad; `solver` of an atmosphere, by default
-    `Spherical.normal()`; `height` of the observer, m, for `Spherical` (others know an observer on the ground);
+    `Spherical.normal()`; `height` of the observer, m, other than an eye's for `Spherical` alone;
     `sun`: "disc" of the true size, or left out of the picture ("none", "lamp": `Image.lamp` has its light in any case);
     `ground_albedo` below an analytic sky, an atmosphere has its own.
     **Returns:** `Image`, X, Y, Z in cd m^-2. **Errors:** `ValueError` for what the solver or the sky does not know.
@@ -62,13 +62,16 @@ def render(
         if turbidity is not None:
             raise ValueError("`turbidity` must be left out with an atmosphere, whose haze is its own")
         solver = Spherical.normal() if solver is None else solver
-        pixels, beam = _of_solver(solver, sky, sun_zenith, sun_azimuth, height)
         made_by = type(solver).__name__
+        if not isinstance(solver, Spherical):
+            _check_eye(height, made_by)
+        pixels, beam, horizon = _of_solver(solver, sky, sun_zenith, sun_azimuth, height)
     else:
         if turbidity is None or solver is not None:
             raise ValueError("an analytic sky must come with `turbidity`, and without `solver`")
+        made_by, horizon = type(sky).__name__, 0.5 * np.pi
+        _check_eye(height, made_by)
         pixels, beam = _of_formula(sky, turbidity, sun_zenith, sun_azimuth, ground_albedo)
-        made_by = type(sky).__name__
     rows = max(_PIXELS // camera.width, 1)
     picture = np.empty((camera.height, camera.width, 3), np.float32)
     for first in range(0, camera.height, rows):
@@ -77,10 +80,15 @@ def render(
         seen = camera.solid_angle(row, column)[..., None] > 0.0
         picture[first : first + rows] = seen * pixels(views.reshape(3, -1)).reshape(*views.shape[1:], 3)
     if sun == "disc":
-        add_disc(picture, camera, sun_zenith, sun_azimuth, beam)
+        add_disc(picture, camera, sun_zenith, sun_azimuth, beam, horizon)
     return Image(
         picture, camera, Lamp(sun_zenith, sun_azimuth, (float(beam[0]), float(beam[1]), float(beam[2]))), made_by
     )
+
+
+def _check_eye(height: float, made_by: str) -> None:
+    if height != EYE:
+        raise ValueError(f"`height` must be left at {EYE:g} m with {made_by}: Spherical alone knows other heights here")
 
 
 def _sunlight():
@@ -89,7 +97,7 @@ def _sunlight():
 
 
 def _of_solver(solver: AbstractSolver, sky: Atmosphere, sun_zenith: float, sun_azimuth: float, height: float):
-    """X, Y, Z of views, and of the beam of the sun."""
+    """X, Y, Z of views, and of the beam of the sun; the zenith angle of the horizon."""
     aloft = isinstance(solver, Spherical) and height > 0.0
     one = Directions(np.zeros(1), np.zeros(1))
     scene = Scene(sun_zenith, sun_azimuth, one, SPECTRUM, _sunlight(), height if aloft else None)
@@ -118,8 +126,10 @@ def _of_solver(solver: AbstractSolver, sky: Atmosphere, sun_zenith: float, sun_a
     air = np.pi - _tangent(EARTH_RADIUS + TOP_OF_AIR, height) if aloft and height > TOP_OF_AIR else 0.0
     table = LightTable(light, sun_zenith, air, horizon, aloft)
     constituents = sky.constituents
-    through = transmitted_sun(constituents, scene, optics(constituents, scene.wavelength_nm).extinction, "spherical")
-    beam = np.asarray(xyz(through * scene.solar_irradiance, SPECTRUM))
+    profiles = [c.profile for c in constituents]
+    column = slant_columns(profiles, as_float(height if aloft else 0.0), jnp.cos(scene.sun_zenith), "spherical")
+    depth = column @ optics(constituents, scene.wavelength_nm).extinction
+    beam = np.asarray(xyz(jnp.exp(-depth) * scene.solar_irradiance, SPECTRUM)) * (sun_zenith < horizon)
     ground = None
     if not aloft:
         fluxes = solver.fluxes(sky, scene)
@@ -132,7 +142,7 @@ def _of_solver(solver: AbstractSolver, sky: Atmosphere, sun_zenith: float, sun_a
             found[up < 0.0] = ground
         return found
 
-    return pixels, beam
+    return pixels, beam, horizon
 
 
 def _tangent(radius: float, height: float) -> float:

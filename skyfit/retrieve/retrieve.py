@@ -20,7 +20,7 @@ from .uncertainty import described, End, Estimate, weighing_at
 
 
 # shares of the sigma by independent noise within which the last search and those before it end
-_NEAR, _FIRST_NEAR = 0.05, 0.5
+_NEAR, _FIRST_NEAR = 0.02, 0.5
 
 
 def retrieve(
