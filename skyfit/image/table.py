@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import ndimage
 
 
 # nodes of the zenith angle above and below the horizon, and of the azimuth from the sun
@@ -42,6 +41,8 @@ class LightTable:
         horizon: float,
         below: bool,
     ):
+        from scipy.ndimage import spline_filter
+
         azimuth = _nodes(0.0, np.pi, {0.0: _NEAR_SUN}, _AROUND)
         ends = [(air, horizon - _EDGE, _ABOVE), (horizon + _EDGE, np.pi, _BELOW)][: 2 if below else 1]
         crowds = {horizon: _NEAR_HORIZON, sun_zenith: _NEAR_SUN}
@@ -51,12 +52,14 @@ class LightTable:
         parts = np.split(np.log(found), [zeniths[0].size])
         self.air, self.horizon = air, horizon
         self.sides = [
-            _Side(zenith, azimuth, np.stack([ndimage.spline_filter(part[..., k], mode="mirror") for k in range(3)]))
+            _Side(zenith, azimuth, np.stack([spline_filter(part[..., k], mode="mirror") for k in range(3)]))
             for zenith, part in zip(zeniths, parts, strict=False)
         ]
 
     def at(self, zenith: Float[np.ndarray, " view"], azimuth: Float[np.ndarray, " view"]) -> np.ndarray:
         """X, Y, Z `[view, 3]`, 0 where there is nothing; `azimuth` from the sun, rad."""
+        from scipy.ndimage import map_coordinates
+
         turn = np.abs((azimuth + np.pi) % (2.0 * np.pi) - np.pi)
         found = np.zeros((zenith.size, 3), np.float32)
         for side, here in zip(
@@ -67,7 +70,7 @@ class LightTable:
                 for v, nodes in ((zenith, side.zenith), (turn, side.azimuth))
             ]
             for k in range(3):
-                log = ndimage.map_coordinates(side.spline[k], place, order=3, mode="mirror", prefilter=False)
+                log = map_coordinates(side.spline[k], place, order=3, mode="mirror", prefilter=False)
                 found[here, k] = np.exp(log)
         return found
 

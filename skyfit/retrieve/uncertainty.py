@@ -211,16 +211,14 @@ def _widening(choices: Choices, threshold, plain):
     """
 
     def influence(residual):
-        trust = robust(residual, choices.loss, threshold).weight
-        return trust * residual
+        return robust(residual, choices.loss, threshold).weight * residual
 
     psi, slope = jax.jvp(influence, (plain,), (jnp.ones_like(plain),))
     trust = robust(plain, choices.loss, threshold).weight
     near = (plain != 0.0) & (jnp.abs(plain) <= threshold)
-    rows = jnp.maximum(jnp.sum(near), 1)
 
     def mean(values):
-        return jnp.sum(jnp.where(near, values, 0.0)) / rows
+        return jnp.sum(jnp.where(near, values, 0.0)) / jnp.maximum(jnp.sum(near), 1)
 
     wide = jnp.sqrt(mean(psi**2) / mean(trust**2)) * mean(trust) / jnp.maximum(mean(slope), _LEAST_SLOPE)
     return jnp.where(wide > 1.0, wide, 1.0)
