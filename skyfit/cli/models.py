@@ -38,6 +38,19 @@ def make_solver(name: str, preset: PresetName, geometry: GeometryName, polarised
     return getattr(SOLVERS[name], preset.value)(geometry.value, **settings)
 
 
+# analytic skies by name
+FORMULAS = ("extended", "published")
+
+
+def analytic_of(name: str):
+    """The analytic sky of a name among `FORMULAS`, or of a file of coefficients; loaded by who asks for one."""
+    from ..analytic import ExtendedPreetham, Preetham
+    from ..records import read_coefficients
+
+    known = {"extended": ExtendedPreetham.shipped, "published": Preetham.published}
+    return known[name]() if name in FORMULAS else read_coefficients(name)
+
+
 def make_atmosphere(
     phase: AbstractPhase,
     angstrom_exponent: float,

@@ -50,6 +50,11 @@ PresetOption = Annotated[PresetName, typer.Option(help="resolution of the solver
 GeometryOption = Annotated[GeometryName, typer.Option(help="curved paths, or a flat Earth")]
 AngstromExponent = Annotated[float, typer.Option(help="of the haze's optical depth")]
 SingleScatteringAlbedo = Annotated[float, typer.Option(help="of the haze")]
+SunZenith = Annotated[float | None, typer.Option(help="degrees; or --time and --at")]
+SunAzimuth = Annotated[
+    float | None, typer.Option(help="degrees clockwise from north  [default: 180]", show_default=False)
+]
+Place = Annotated[str | None, typer.Option(help="LAT,LON in degrees, north and east positive")]
 GroundAlbedo = Annotated[float, typer.Option(help="of a Lambertian ground")]
 OzoneColumn = Annotated[float, typer.Option("--ozone", help="Dobson units")]
 Pressure = Annotated[float, typer.Option(help="Pa at the ground: scales the air's scattering")]

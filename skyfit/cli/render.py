@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from .known import SEA_LEVEL_PRESSURE
-from .options import app, in_range, PresetName, PresetOption
+from .options import app, GeometryName, GroundAlbedo, in_range, Place, PresetName, PresetOption, SunAzimuth, SunZenith
 
 
 class ProjectionName(StrEnum):
@@ -42,20 +42,14 @@ class SpaceName(StrEnum):
     xyz = "xyz"
 
 
-# formulas beside the solvers
-_FORMULAS = ("extended", "published")
-
-
 @app.command()
 def render(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="picture to write: .exr, linear, or .png, developed")],
-    sun_zenith: Annotated[float | None, typer.Option(help="degrees; or --time and --at")] = None,
-    sun_azimuth: Annotated[
-        float | None, typer.Option(help="degrees clockwise from north  [default: 180]", show_default=False)
-    ] = None,
+    sun_zenith: SunZenith = None,
+    sun_azimuth: SunAzimuth = None,
     time: Annotated[str | None, typer.Option(help="ISO, UTC, with --at")] = None,
-    at: Annotated[str | None, typer.Option(help="LAT,LON in degrees, north and east positive")] = None,
+    at: Place = None,
     turbidity: Annotated[
         float | None, typer.Option(help="Preetham's, at 550 nm (>= 1)  [default: 3]", show_default=False)
     ] = None,
@@ -68,7 +62,7 @@ def render(
     ] = "spherical",
     preset: PresetOption = PresetName.normal,
     height: Annotated[float, typer.Option(help="of the observer, m; other than spherical: on the ground")] = 2.0,
-    ground_albedo: Annotated[float, typer.Option(help="of a Lambertian ground")] = 0.1,
+    ground_albedo: GroundAlbedo = 0.1,
     projection: Annotated[
         ProjectionName,
         typer.Option(
@@ -106,14 +100,12 @@ def render(
     import jax
     import numpy as np
 
-    from ..analytic import ExtendedPreetham, Preetham
+    from ..analytic.extended import SUN_ZENITH_RANGE_DEG
     from ..atmosphere import Atmosphere, Ground
     from ..image import Camera
     from ..image.render import render as rendered
-    from ..records import read_coefficients
     from ..transport import SOLVERS
-    from .models import atmosphere_of
-    from .options import GeometryName
+    from .models import analytic_of, atmosphere_of, FORMULAS, make_solver
     from .printing import console, progress
     from .sun import sun_of
 
@@ -127,9 +119,7 @@ def render(
     haze = in_range("--turbidity", 3.0 if turbidity is None else turbidity, 1.0, 50.0)
     asked: dict = {}
     if solver in SOLVERS:
-        chosen = getattr(SOLVERS[solver], preset.value)(
-            GeometryName.flat.value if solver == "uniform" else GeometryName.spherical.value
-        )
+        chosen = make_solver(solver, preset, GeometryName.flat if solver == "uniform" else GeometryName.spherical)
         lowest, asked = chosen.suns.largest_deg, {"solver": chosen, "height": height}
         sky = (
             atmosphere_of(atmosphere)
@@ -141,13 +131,12 @@ def render(
             raise ValueError(
                 f"`--atmosphere` must be left out with `--solver {solver}`: it is that of the formula's fit"
             )
-        if solver not in _FORMULAS and not Path(solver).is_file():
+        if solver not in FORMULAS and not Path(solver).is_file():
             raise ValueError(
-                f"`--solver` must be one of {', '.join((*SOLVERS, *_FORMULAS))} or a coefficients.json, got {solver!r}"
+                f"`--solver` must be one of {', '.join((*SOLVERS, *FORMULAS))} or a coefficients.json, got {solver!r}"
             )
-        known = {"extended": ExtendedPreetham.shipped, "published": Preetham.published}
-        sky = known.get(solver, lambda: read_coefficients(solver))()
-        lowest, asked = 92.0, {"turbidity": haze, "ground_albedo": ground_albedo}
+        sky = analytic_of(solver)
+        lowest, asked = SUN_ZENITH_RANGE_DEG[1], {"turbidity": haze, "ground_albedo": ground_albedo}
     zenith, around, _ = sun_of(sun_zenith, sun_azimuth, time, at, SEA_LEVEL_PRESSURE, lowest)
     width, rows = _size(size)
     view = None if field_of_view is None else float(np.radians(field_of_view))

@@ -16,12 +16,15 @@ from .options import (
     in_range,
     LineShape,
     OzoneColumn,
+    Place,
     PolarisedOption,
     PresetName,
     PresetOption,
     Pressure,
     SingleScatteringAlbedo,
     SolverOption,
+    SunAzimuth,
+    SunZenith,
 )
 
 
@@ -39,14 +42,12 @@ _OF_SIMULATIONS = (
 def simulate(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="file to write, .nc or .csv")],
-    sun_zenith: Annotated[float | None, typer.Option(help="degrees; or --time and --at")] = None,
-    sun_azimuth: Annotated[
-        float | None, typer.Option(help="degrees clockwise from north  [default: 180]", show_default=False)
-    ] = None,
+    sun_zenith: SunZenith = None,
+    sun_azimuth: SunAzimuth = None,
     time: Annotated[
         str | None, typer.Option(help="ISO, UTC: how far the sun is, and with --at where it stands")
     ] = None,
-    at: Annotated[str | None, typer.Option(help="LAT,LON in degrees, north and east positive")] = None,
+    at: Place = None,
     turbidity: Annotated[float | None, typer.Option(help="Preetham's, at 550 nm (>= 1)")] = None,
     aerosol_optical_depth: Annotated[float | None, typer.Option(help="at 550 nm, instead")] = None,
     meteorological_range: Annotated[float | None, typer.Option(help="visibility in km, instead")] = None,
@@ -166,12 +167,8 @@ def _refuse(context: typer.Context, options: tuple[str, ...], beside: str) -> No
 
 def _analytic_sky(context: typer.Context, name: str):
     """The analytic sky of a name or a file, and the lowest sun that it takes, degrees; refuses what it holds itself."""
-    from ..analytic import ExtendedPreetham, Preetham
     from ..analytic.extended import SUN_ZENITH_RANGE_DEG
-    from ..records import read_coefficients
+    from .models import analytic_of
 
     _refuse(context, _OF_SIMULATIONS, "`--coefficients`, whose atmosphere is that of their fit")
-    sky = {"published": Preetham.published, "extended": ExtendedPreetham.shipped}.get(
-        name, lambda: read_coefficients(name)
-    )
-    return sky(), SUN_ZENITH_RANGE_DEG[1]
+    return analytic_of(name), SUN_ZENITH_RANGE_DEG[1]

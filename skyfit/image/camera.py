@@ -121,11 +121,8 @@ class Camera:
     @property
     def _axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Right, up and ahead."""
-        sine, cosine, slope, level = np.sin(self.azimuth), np.cos(self.azimuth), *_rise(self.elevation)
+        sine, cosine = np.sin(self.azimuth), np.cos(self.azimuth)
+        slope, level = np.sin(self.elevation), np.cos(self.elevation)
         right = np.array([cosine, -sine, 0.0]) * self._east
         ahead = np.array([level * sine, level * cosine, slope])
         return right, np.array([-slope * sine, -slope * cosine, level]), ahead
-
-
-def _rise(elevation: float) -> tuple[float, float]:
-    return np.sin(elevation), np.cos(elevation)

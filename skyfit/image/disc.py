@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..light import SUN_SOLID_ANGLE
+from ..scene import unit_vectors
 from .camera import Camera
 
 
@@ -32,8 +33,7 @@ def add_disc(
     **Source:** Hestroffer & Magnan 1998, A&A 333, 338, $\alpha = -0.023 + 0.292 / \lambda$ in um; the disc is round:
     refraction is left out.
     """
-    up = np.array([np.sin(sun_zenith) * np.sin(sun_azimuth), np.sin(sun_zenith) * np.cos(sun_azimuth)])
-    middle = np.array([*up, np.cos(sun_zenith)])
+    middle = np.asarray(unit_vectors(sun_zenith, sun_azimuth), float)
     row, column, inside = camera.places(middle[:, None])
     covered = np.pi * RADIUS**2 / camera.solid_angle(row, column)[0] if inside[0] else 0.0
     count = int(min(max(_POINTS, _PER_PIXEL * covered), 4e6))

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from ..light import srgb_from_linear
 from ..measured import atomic
 from ..numerics import check_range
+from ..scene import unit_vectors
 from .camera import Camera
 
 
@@ -141,10 +142,8 @@ class Image:
     def save_lamp(self, path: str | Path) -> None:
         """Writes the sun as JSON: unit vector east, north, up toward it, illuminance, linear sRGB in lx."""
         lamp = self.lamp
-        sine = np.sin(lamp.sun_zenith)
-        toward = [sine * np.sin(lamp.sun_azimuth), sine * np.cos(lamp.sun_azimuth), np.cos(lamp.sun_zenith)]
         record = {
-            "toward_east_north_up": [float(v) for v in toward],
+            "toward_east_north_up": np.asarray(unit_vectors(lamp.sun_zenith, lamp.sun_azimuth)).tolist(),
             "sun_zenith_deg": float(np.degrees(lamp.sun_zenith)),
             "sun_azimuth_deg": float(np.degrees(lamp.sun_azimuth)),
             "illuminance_lx": lamp.irradiance[1],

@@ -10,7 +10,7 @@ from ..analytic.analytic import AbstractAnalyticSky
 from ..atmosphere import Atmosphere
 from ..light import extraterrestrial_irradiance, SRGB_FROM_XYZ, xyz
 from ..numerics import as_float, check_range
-from ..scene import Directions, Scene
+from ..scene import Directions, Scene, unit_vectors
 from ..transport import AbstractSolver, Spherical
 from ..transport.columns import EARTH_RADIUS, slant_columns, TOP_OF_AIR
 from ..transport.optics import optics
@@ -153,8 +153,7 @@ def _tangent(radius: float, height: float) -> float:
 def _of_formula(sky: AbstractAnalyticSky, turbidity: float, sun_zenith: float, sun_azimuth: float, albedo: float):
     """X, Y, Z of views, and of the beam of the sun."""
     check_range("ground_albedo", albedo, 0.0, 1.0)
-    sine = np.sin(sun_zenith)
-    sun = jnp.asarray([sine * np.sin(sun_azimuth), sine * np.cos(sun_azimuth), np.cos(sun_zenith)])
+    sun = unit_vectors(sun_zenith, sun_azimuth)
     matrix = np.linalg.inv(SRGB_FROM_XYZ).astype(np.float32)
     dome = Camera("equirect", 128, 128)
     above = dome.views(0, 64)

@@ -142,7 +142,7 @@ def weighing_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Pr
         columns = columns_of(choices, one, known, calibration, jnp.ones_like(priors.inverse_sigma))
         # the channels' scales first, so that what is left is of the parameters alone
         columns = jnp.concatenate([columns[:, count:], columns[:, :count]], axis=1)
-        rows, effects = _noise_of(choices, numbers.threshold, one, known, calibration, sizes, weighing, columns)
+        _, rows, effects = _noise_of(choices, numbers.threshold, one, known, calibration, sizes, weighing, columns)
         whole = triangle(jnp.concatenate([rows, jnp.zeros((rows.shape[1], rows.shape[1]), rows.dtype)]))
         moves = _sides(whole[: rows.shape[1]], effects)[-count:]
         return Weighing(scale, jnp.sqrt(jnp.maximum(jnp.mean(jnp.sum(moves**2, axis=1)), 1.0)))
@@ -151,12 +151,12 @@ def weighing_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Pr
 
 
 def _noise_of(choices: Choices, threshold, one: Problem, known: Known, calibration, sizes, weighing: Weighing, columns):
-    """Weighed rows of `columns`, and the right-hand sides of their normal equations by each independent error.
+    """Trust in each sample, weighed rows of `columns`, and their normal equations' right-hand sides by each error.
 
     Of samples beyond the threshold of the loss those of a direction count as one error, of the influence they have.
     """
-    after = trusted(choices, threshold, one, known, calibration, weighing)
-    plain, root = weight_of(one, weighing), jnp.sqrt(after.weight)
+    trust = trusted(choices, threshold, one, known, calibration, weighing).weight
+    plain, root = weight_of(one, weighing), jnp.sqrt(trust)
     rows = columns * (plain * root)[:, None]
     directions, channels = one.measured.shape
     held = directions * channels
@@ -170,7 +170,7 @@ def _noise_of(choices: Choices, threshold, one: Problem, known: Known, calibrati
         residual = (known.radiance * calibration[None] - one.measured).reshape(-1) * plain[:held]
         far = jnp.where(jnp.abs(residual) > threshold, residual, 0.0)
         effects.append(jnp.sum((sky * far[:, None]).reshape(directions, channels, -1), axis=1))
-    return rows, jnp.concatenate(effects)
+    return trust, rows, jnp.concatenate(effects)
 
 
 def _sides(whole, effects):
@@ -302,7 +302,6 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
 
     def at(item):
         one, known, white, errors, sizes, weighing, tied = item
-        after = trusted(choices, numbers.threshold, one, known, calibration, weighing)
         samples = jnp.sum(one.weight > 0.0) + (0 if one.direct_weight is None else jnp.sum(one.direct_weight > 0.0))
         held = samples, times
         residual = known.radiance * calibration[None] - one.measured
@@ -312,14 +311,14 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
         beam = beam_residual(one, known)
         if beam is not None and one.direct_weight is not None:
             stated += jnp.sum((beam * one.direct_weight) ** 2)
-        weight = weight_of(one, weighing) * jnp.sqrt(after.weight)
         columns = columns_of(choices, one, known, calibration, unit)
-        rows, effects = _noise_of(choices, numbers.threshold, one, known, calibration, sizes, weighing, columns)
+        trust, rows, effects = _noise_of(choices, numbers.threshold, one, known, calibration, sizes, weighing, columns)
+        weight = weight_of(one, weighing) * jnp.sqrt(trust)
         right = errors * (instrument_gain(calibration, one) * weight)[:, None]
         parts = reduced_rows(choices, rows, right, tied, jnp.zeros((own_count, side), rows.dtype))
         noise = _sides(jnp.concatenate(parts[:2], axis=1)[: rows.shape[1]], wide * effects)
         told = wide, _chi_square(choices, stated, held), _correlation(one, plain)
-        trust = after.weight[: directions * channels].reshape(directions, channels)
+        trust = trust[: directions * channels].reshape(directions, channels)
         return parts, noise, told, rows * weight[:, None], trust
 
     items = problem, known, white, errors, sizes, found.weighing, own_tight
