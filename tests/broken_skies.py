@@ -131,8 +131,8 @@ SKIES = {
     "per m": error(with_radiance(lambda light: 1e9 * light), "per um"),
     "photons": error(with_radiance(lambda light: light * NM * 1e-9 / PLANCK_LIGHT), "no sky"),
     "counts of a detector": error(with_radiance(lambda light: np.round(3e4 * light)), "no sky"),
-    "ten times": flag(with_radiance(lambda light: 10.0 * light), "poor_fit"),
-    "per angstrom": flag(with_radiance(lambda light: 0.1 * light), "poor_fit"),
+    "ten times": flag(with_radiance(lambda light: 10.0 * light), "poor fit"),
+    "per angstrom": flag(with_radiance(lambda light: 0.1 * light), "poor fit"),
     "kW": error(with_radiance(lambda light: 1e-3 * light), "of the light that air alone"),
     "night": error(with_radiance(lambda light: 1e-9 * np.ones_like(light)), "night"),
     "zero": error(with_radiance(np.zeros_like), "night"),
@@ -141,11 +141,11 @@ SKIES = {
     "nan": error(with_radiance(lambda light: np.nan * light), "no usable sample"),
     "nan that is usable": error(with_fields(lambda s: {"radiance": np.nan * s.radiance}), "`usable`", "not finite"),
     "infinite": error(with_fields(lambda s: {"radiance": np.inf * s.radiance}), "`usable`", "not finite"),
-    "constant": flag(with_radiance(lambda light: np.full_like(light, 0.1)), "alike", "poor_fit"),
+    "constant": flag(with_radiance(lambda light: np.full_like(light, 0.1)), "alike", "poor fit"),
     "a lamp": flag(with_radiance(lambda light: light.mean(axis=1, keepdims=True) + 0.0 * light), "alike"),
-    "overcast": flag(with_radiance(overcast), "poor_fit"),
-    "noise": flag(with_radiance(noise_of_a_shutter), "poor_fit"),
-    "noise with sigma": flag(with_radiance(noise_of_a_shutter, sigma=True), "poor_fit"),
+    "overcast": flag(with_radiance(overcast), "poor fit"),
+    "noise": flag(with_radiance(noise_of_a_shutter), "poor fit"),
+    "noise with sigma": flag(with_radiance(noise_of_a_shutter, sigma=True), "poor fit"),
     "clipped": flag(with_radiance(lambda light: np.minimum(light, np.quantile(light, 0.8))), "saturated"),
     "the sun's disc": flag(with_radiance(sun_in_view), "the sun's disc"),
     "sigma zero": error(with_fields(lambda s: {"sigma": 0.0 * s.sigma}), "`usable`", "`sigma`"),
@@ -158,9 +158,9 @@ SKIES = {
     "azimuth in degrees": error(with_fields(lambda s: {"view_azimuth": np.degrees(AZIMUTH)}), "`view_azimuth`"),
     "sun in degrees": error(with_fields(lambda s: {"sun_zenith": np.degrees(s.sun_zenith)}), "`sun_zenith`"),
     "view twice to radians": flag(
-        with_fields(lambda s: {"view_zenith": np.radians(ZENITH), "view_azimuth": np.radians(AZIMUTH)}), "poor_fit"
+        with_fields(lambda s: {"view_zenith": np.radians(ZENITH), "view_azimuth": np.radians(AZIMUTH)}), "poor fit"
     ),
-    "azimuth twice to radians": flag(with_fields(lambda s: {"view_azimuth": np.radians(AZIMUTH)}), "poor_fit"),
+    "azimuth twice to radians": flag(with_fields(lambda s: {"view_azimuth": np.radians(AZIMUTH)}), "poor fit"),
     "sun twice to radians": flag(
         with_fields(lambda s: {"sun_zenith": np.radians(s.sun_zenith), "sun_azimuth": np.radians(s.sun_azimuth)}),
         "from the stated sun", "radians",
@@ -174,16 +174,16 @@ SKIES = {
     "azimuth from south": flag(with_fields(lambda s: {"view_azimuth": AZIMUTH + np.pi}), "from south?"),
     "azimuth backwards": flag(with_fields(lambda s: {"view_azimuth": -AZIMUTH}), "counter-clockwise?"),
     "azimuth backwards from south": flag(
-        with_fields(lambda s: {"view_azimuth": np.pi - AZIMUTH, "sun_azimuth": s.sun_azimuth + 0.6}), "poor_fit"
+        with_fields(lambda s: {"view_azimuth": np.pi - AZIMUTH, "sun_azimuth": s.sun_azimuth + 0.6}), "poor fit"
     ),
     "azimuth from east": flag(with_fields(lambda s: {"view_azimuth": AZIMUTH + 0.5 * np.pi}), "from the stated sun"),
     "sun the other way": flag(with_fields(lambda s: {"sun_azimuth": s.sun_azimuth + np.pi}), "from the stated sun"),
     "sun an hour late": flag(
-        with_fields(lambda s: {"sun_zenith": s.sun_zenith - 0.17, "sun_azimuth": s.sun_azimuth + 0.2}), "poor_fit"
+        with_fields(lambda s: {"sun_zenith": s.sun_zenith - 0.17, "sun_azimuth": s.sun_azimuth + 0.2}), "poor fit"
     ),
-    "directions reversed": flag(with_radiance(lambda light: light[:, ::-1]), "poor_fit"),
+    "directions reversed": flag(with_radiance(lambda light: light[:, ::-1]), "poor fit"),
     "wavelengths reversed": flag(with_radiance(lambda light: light[..., ::-1]), "the residuals are"),
-    "transposed": flag(with_radiance(lambda light: light.transpose(0, 2, 1)), "poor_fit"),
+    "transposed": flag(with_radiance(lambda light: light.transpose(0, 2, 1)), "poor fit"),
     "axes exchanged": error(with_radiance(lambda light: light.transpose(1, 0, 2)), "`radiance`"),
     "a direction twice": flag(
         with_fields(
@@ -444,9 +444,9 @@ FILES = {
     "netcdf wavelengths in m": error(netcdf(assigned(wavelength=lambda w: 1e-9 * w)), "sky.nc", "are these m?"),
     "netcdf wavelengths in um": error(netcdf(assigned(wavelength=lambda w: 1e-3 * w)), "sky.nc", "are these um?"),
     "netcdf wavelengths backwards": right(netcdf(lambda data: data.isel(wavelength=slice(None, None, -1)))),
-    "netcdf radiance alone backwards": flag(netcdf(relit(lambda light: light[..., ::-1])), "poor_fit"),
+    "netcdf radiance alone backwards": flag(netcdf(relit(lambda light: light[..., ::-1])), "poor fit"),
     "netcdf axes in another order": right(netcdf(lambda data: data.transpose("wavelength", "time", "direction"))),
-    "netcdf axes under each other's name": flag(netcdf(relit(lambda light: light.transpose(0, 2, 1))), "poor_fit"),
+    "netcdf axes under each other's name": flag(netcdf(relit(lambda light: light.transpose(0, 2, 1))), "poor fit"),
     "netcdf angles in radians": error(
         netcdf(assigned(view_zenith=lambda z: RADIANS * z, view_azimuth=lambda a: RADIANS * a)), "sky.nc", "radians?"
     ),
