@@ -3,8 +3,10 @@
 import gc
 import os
 import shutil
+import subprocess
+import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 
@@ -57,6 +59,40 @@ def shared(checkout: Path) -> Path:
     if not path.is_dir():
         pytest.skip("../shared is absent: it holds the oracles and measured skies, which are not shipped")
     return path
+
+
+@pytest.fixture(scope="session")
+def python(checkout: Path) -> Callable:
+    """A program in a process of its own, in a narrow window; all of a run share what one has compiled."""
+    place = {
+        "COLUMNS": "80",
+        "XDG_CACHE_HOME": os.path.join(os.environ[CACHE], "commands"),
+        "PYTHONPATH": str(checkout),
+    }
+    # programs that run once are not worth optimising
+    place["XLA_FLAGS"] = "--xla_backend_optimization_level=0"
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")} | place
+
+    def call(program, *arguments, cwd):
+        command = [sys.executable, "-W", "error", "-c", program, *map(str, arguments)]
+        return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=500)
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def skyfit_command(python: Callable) -> Callable:
+    """The program `skyfit` in a process of its own."""
+
+    def call(*arguments, cwd, check=True):
+        done = python("from skyfit.cli import main; main()", *arguments, cwd=cwd)
+        assert "Traceback" not in done.stderr, done.stderr
+        if check:
+            assert done.returncode == 0, done.stderr
+            assert done.stderr.strip() == ""
+        return done
+
+    return call
 
 
 @pytest.fixture

@@ -1,8 +1,5 @@
 import inspect
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -25,35 +22,6 @@ SPHERES = (
 
 
 WAVELENGTHS = "420:680:20"
-
-
-@pytest.fixture(scope="session")
-def environment(checkout, tmp_path_factory):
-    """A narrow window, and one folder for the compiled code of all calls."""
-    place = {"COLUMNS": "80", "XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache")), "PYTHONPATH": str(checkout)}
-    # programs that run once are not worth optimising
-    place["XLA_FLAGS"] = "--xla_backend_optimization_level=0"
-    return {k: v for k, v in os.environ.items() if not k.startswith("JAX_")} | place
-
-
-def python(program, *arguments, environment, cwd):
-    command = [sys.executable, "-W", "error", "-c", program, *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=500)
-
-
-@pytest.fixture(scope="session")
-def skyfit_command(environment):
-    """The program in a process of its own."""
-
-    def call(*arguments, cwd, check=True):
-        done = python("from skyfit.cli import main; main()", *arguments, environment=environment, cwd=cwd)
-        assert "Traceback" not in done.stderr, done.stderr
-        if check:
-            assert done.returncode == 0, done.stderr
-            assert done.stderr.strip() == ""
-        return done
-
-    return call
 
 
 @pytest.fixture(scope="session")
@@ -428,8 +396,8 @@ pathlib.Path("loaded.json").write_text(json.dumps(loaded))
 """
 
 
-def test_help_loads_no_more_than_it_says(environment, tmp_path):
-    done = python(HELPS, environment=environment, cwd=tmp_path)
+def test_help_loads_no_more_than_it_says(python, tmp_path):
+    done = python(HELPS, cwd=tmp_path)
     assert done.returncode == 0 and done.stderr == "" and narrow(done.stdout)
     for command, modules in json.loads((tmp_path / "loaded.json").read_text()).items():
         roots = {name.split(".")[0] for name in modules}
@@ -691,7 +659,7 @@ print(json.dumps(report))
 
 
 @pytest.fixture(scope="session")
-def failures(chain, environment, tmp_path_factory):
+def failures(chain, python, tmp_path_factory):
     """What each broken call ended with, and what its folder held before and after."""
     place = tmp_path_factory.mktemp("broken")
 
@@ -700,7 +668,7 @@ def failures(chain, environment, tmp_path_factory):
 
     before = {case: files_to_fail_on(chain[0], place / case) and files(case) for case in BROKEN}
     (place / "cases.json").write_text(json.dumps({case: call for case, (call, _) in BROKEN.items()}))
-    done = python(MANY, place, environment=environment, cwd=place)
+    done = python(MANY, place, cwd=place)
     assert done.returncode == 0, done.stderr
     return {case: (*end, before[case], files(case)) for case, end in json.loads(done.stdout).items()}
 

@@ -119,9 +119,19 @@ class AbstractAnalyticSky(Ranged):
         _check_scalar(turbidity)
         check_unit_vectors("sun", sun)
         check_unit_vectors("view", view)
-        sun_zenith, scale, coefficients = _rows(self, turbidity, sun)
+        sun_zenith, rows = _rows(self, turbidity, sun)
         self._check(turbidity, sun_zenith)
-        return pixels.linear_srgb(*pixels.tristimulus(scale, coefficients, *pixels.geometry(sun, view)))
+        return pixels.linear_srgb(*pixels.tristimulus(rows[:, 5], rows[:, :5], *pixels.geometry(sun, view)))
+
+    def frame(self, turbidity: Float[ArrayLike, ""], theta_sun: Float[ArrayLike, ""]) -> Float[Array, "3 6"]:
+        """All that one sky is, in 18 numbers: of Y (cd m^-2), x and y each A, B, C, D, E and the zenith's value over F.
+
+        **Arguments:** `turbidity`; `theta_sun`, the sun's zenith angle, rad. **Valid:** where `valid` says so.
+        **Source:** as `luminance_chromaticity`; `skyfit.records.write_evaluator` writes code that evaluates them.
+        """
+        values, shapes = self.zenith(turbidity, theta_sun), self.perez(turbidity, theta_sun)
+        scale = [value / shape.at_zenith(theta_sun) for value, shape in zip(values, shapes, strict=True)]
+        return jnp.stack([jnp.append(s.coefficients, v) for s, v in zip(shapes, scale, strict=True)])
 
     def _seen(self, turbidity, scene: Scene):
         """Luminance, 0 where there is none, and chromaticity in the scene's directions."""
@@ -156,9 +166,7 @@ def check_sun_is_up(sun_zenith) -> None:
 @jax.jit
 def _rows(
     sky: AbstractAnalyticSky, turbidity: Float[ArrayLike, ""], sun: Float[Array, "3"]
-) -> tuple[Float[Array, ""], Float[Array, "3"], Float[Array, "3 parameter"]]:
-    """The sun's zenith angle and, for Y, x and y, the zenith's value per unit of F there and F's coefficients."""
+) -> tuple[Float[Array, ""], Float[Array, "3 6"]]:
+    """The zenith angle of the sun's direction, and the frame of that sky."""
     sun_zenith = jnp.arctan2(safe_sqrt(jnp.square(sun[0]) + jnp.square(sun[1])), sun[2])
-    values, shapes = sky.zenith(turbidity, sun_zenith), sky.perez(turbidity, sun_zenith)
-    scale = [value / shape.at_zenith(sun_zenith) for value, shape in zip(values, shapes, strict=True)]
-    return sun_zenith, jnp.stack(scale), jnp.stack([shape.coefficients for shape in shapes])
+    return sun_zenith, sky.frame(turbidity, sun_zenith)

@@ -17,11 +17,11 @@ TURBIDITY_RANGE = (1.0, 10.0)
 SUN_ZENITH_RANGE_DEG = (0.0, 92.0)
 _SUN_ZENITH_RANGE = (math.radians(SUN_ZENITH_RANGE_DEG[0]), math.radians(SUN_ZENITH_RANGE_DEG[1]))
 # the circumsolar and the backscatter term are never below -0.45 each, so that their sum leaves the sky positive
-_LOWEST_TERM = -0.45
+LOWEST_TERM = -0.45
 # of B and D: the factor e^-B beside A would overflow in thin air, whose colour hardly changes toward the horizon
-_STEEPEST = math.log(LARGEST_EXPONENT)
+STEEPEST = math.log(LARGEST_EXPONENT)
 # width of the corner of the map to that bound
-_CORNER = 0.1
+CORNER = 0.1
 
 
 class ExtendedPreetham(AbstractAnalyticSky):
@@ -111,16 +111,16 @@ def _chebyshev(share, count: int):
 
 def _perez(numbers) -> Perez:
     """Perez' coefficients of six unbounded numbers."""
-    steepness = jnp.exp(jnp.minimum(numbers[1], _STEEPEST))
+    steepness = jnp.exp(jnp.minimum(numbers[1], STEEPEST))
     return Perez(
         jnp.expm1(numbers[0]) * jnp.exp(steepness),
         -steepness,
         _above(numbers[2]),
-        -jnp.exp(jnp.minimum(numbers[3], _STEEPEST)),
+        -jnp.exp(jnp.minimum(numbers[3], STEEPEST)),
         _above(numbers[4]),
     )
 
 
 def _above(number):
     """A smooth map of all numbers to those above -0.45, of slope 1 far above."""
-    return _LOWEST_TERM + 0.5 * (number + jnp.sqrt(jnp.square(number) + _CORNER**2))
+    return LOWEST_TERM + 0.5 * (number + jnp.sqrt(jnp.square(number) + CORNER**2))

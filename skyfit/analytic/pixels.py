@@ -22,7 +22,7 @@ def _polynomial(function, degree: int, end: float) -> tuple[float, ...]:
 
 
 # arcsin(sqrt(m)) / sqrt(m), m <= 1/2; the angle from the sun is then right to 3e-8 rad
-_ARCSINE = _polynomial(lambda m: np.arcsin(np.sqrt(m)) / np.sqrt(m), 7, 0.5)
+ARCSINE = _polynomial(lambda m: np.arcsin(np.sqrt(m)) / np.sqrt(m), 7, 0.5)
 # sin(sqrt(q))^2 / q, sqrt(q) <= pi / 2; the square is then right to 3e-8
 _SQUARED_SINE = _polynomial(lambda q: np.square(np.sin(np.sqrt(q))) / q, 5, 0.25 * np.pi**2)
 
@@ -50,7 +50,7 @@ def geometry(
     half = 0.25 * (jnp.square(view[0] - sun[0]) + jnp.square(view[1] - sun[1]) + jnp.square(view[2] - sun[2]))
     near = half < 0.5
     smaller = jnp.where(near, half, 1.0 - half)
-    angle = 2.0 * safe_sqrt(smaller) * _horner(_ARCSINE, smaller)
+    angle = 2.0 * safe_sqrt(smaller) * _horner(ARCSINE, smaller)
     slant = jnp.where(view[2] <= LOWEST_VISIBLE, _BELOW, 1.0 / jnp.maximum(view[2], LOWEST_COSINE))
     return jnp.where(near, angle, jnp.pi - angle), slant
 

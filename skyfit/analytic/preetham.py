@@ -13,7 +13,7 @@ from .analytic import AbstractAnalyticSky, check_sun_is_up
 from .perez import Perez
 
 
-_LARGEST_CHI = 1.5  # rad; the published angle stays below 4 pi / 9 = 1.396 for all turbidities > 0
+LARGEST_CHI = 1.5  # rad; the published angle stays below 4 pi / 9 = 1.396 for all turbidities > 0
 
 
 class Preetham(AbstractAnalyticSky):
@@ -87,7 +87,7 @@ class Preetham(AbstractAnalyticSky):
         slope, constant = self.zenith_luminance[:, 0], self.zenith_luminance[:, 1]
         tangent, offset, angle = slope * turbidity + constant
         sun = jnp.asarray(theta_sun)
-        chi = jnp.clip(angle * (jnp.pi - 2.0 * sun), -_LARGEST_CHI, _LARGEST_CHI)
+        chi = jnp.clip(angle * (jnp.pi - 2.0 * sun), -LARGEST_CHI, LARGEST_CHI)
         cubic, square, linear, constant = jnp.moveaxis(self.zenith_chromaticity, -1, 0)
         of_sun = ((cubic * sun + square) * sun + linear) * sun + constant
         x, y = (of_sun[:, 0] * turbidity + of_sun[:, 1]) * turbidity + of_sun[:, 2]

@@ -5,12 +5,12 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
-from . import convert, invert, refit, render, simulate
+from . import convert, export, invert, refit, render, simulate
 from .options import app
 
 
 # importing a command registers it
-_COMMANDS = (simulate, render, refit, convert, invert)
+_COMMANDS = (simulate, render, refit, export, convert, invert)
 # compiles in two thirds of the time to programs that run as fast. XLA ends the process over a flag that it does not
 # know, so this one is for the jaxlib that it was tried on
 _QUICK_TO_COMPILE, _TRIED_ON = "--xla_cpu_use_fusion_emitters=false", "0.10.2"

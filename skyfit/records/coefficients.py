@@ -1,32 +1,65 @@
 """Refitted coefficients of Preetham's model as JSON.
 
-Schema "skyfit.coefficients", version 2: `form`, "linear" or "extended"; `published` and `refitted`. Of the linear form
-each holds `distribution` `[Y x y][A B C D E][slope, constant]` (linear in turbidity), `zenith_luminance`
-`[tangent offset angle][slope, constant]` (kcd m^-2) and `zenith_chromaticity` `[x y][T^2 T 1][cube square linear
-constant]` (of the sun's zenith angle in radians); of the extended form `refitted` holds `coefficients` `[Y x y]
+Schema "skyfit.coefficients", version 3: `form`, "linear" or "extended"; `formula`, `axes` and `units` say what the
+numbers are; `published` and `refitted`. Of the linear form each holds `distribution` `[Y x y][A B C D E][slope,
+constant]`, `zenith_luminance` `[tangent offset angle][slope, constant]` (kcd m^-2) and `zenith_chromaticity`
+`[x y][T^2 T 1][cube square linear constant]`; of the extended form `refitted` holds `coefficients` `[Y x y]
 [6 numbers][turbidity][sun]` of `skyfit.ExtendedPreetham`. `valid`, the suns and turbidities fitted; `fitted` and
-`held_out` (random skies of that range): `skies`, each with the median and 95th percentile of the relative luminance
-error and the median chromaticity distance to view zenith 80 degrees; `overall`, the same over all those directions of
-skies with the sun to 85 degrees; `rest`, over all others; `simulated`, where given, the settings of the skies, by the
-names of the command line's options; `result`, how each joint fit ended. What is not known, such
-as the error of the published formula out of its range, is null.
+`held_out` (random skies of that range): `skies`, by column, with the median and 95th percentile of the relative
+luminance error and the median chromaticity distance to view zenith 80 degrees; `overall`, the same over all those
+directions of skies with the sun to 85 degrees; `rest`, over all others; `simulated`, where given, the settings of the
+skies, by the names of the command line's options; `result`, how each joint fit ended. What is not known, such as the
+error of the published formula out of its range, is null. `write_evaluator` writes code that evaluates them.
 """
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from ..analytic import Comparison, ExtendedPreetham, Preetham, Refit
+from ..analytic.extended import CORNER, LOWEST_TERM
+from ..analytic.perez import LARGEST_EXPONENT, LOWEST_COSINE
 from ..measured import atomic
 from ..numerics import as_float
 
 
-_SCHEMA, _VERSION = "skyfit.coefficients", 2
+_SCHEMA, _VERSION = "skyfit.coefficients", 3
 _LINEAR = {"distribution": (3, 5, 2), "zenith_luminance": (3, 2), "zenith_chromaticity": (2, 3, 4)}
 _EXTENDED = {"coefficients": (3, 6, None, None)}
+_LIGHT = (
+    "Y = Y_z F(theta, gamma) / F(0, sun), so x and y; F = (1 + A exp(B / cos theta)) (1 + C exp(D gamma) "
+    f"+ E cos(gamma)^2), cos theta at least {LOWEST_COSINE:g}, gamma the angle from the sun"
+)
+_FORMULAS = {
+    "linear": {
+        "light": _LIGHT,
+        "A to E": "slope T + constant",
+        "zenith": "Y_z = tangent tan(angle (pi - 2 sun)) + offset; x_z, y_z: cubics in sun, squares in T",
+    },
+    "extended": {
+        "light": _LIGHT,
+        "numbers": "u_k = sum_ij c_kij T_i(2 log10(T) - 1) T_j(2 (sun / 92 degrees)^2 - 1), T_i of Chebyshev",
+        "A to E": f"B = -exp(u_1), D = -exp(u_3), both at least {-LARGEST_EXPONENT:g}; A = (exp(u_0) - 1) exp(-B); "
+        f"C = s(u_2), E = s(u_4); s(v) = {LOWEST_TERM:g} + (v + sqrt(v^2 + {CORNER:g}^2)) / 2",
+        "zenith": "exp(u_5)",
+    },
+}
+_AXES = {
+    "linear": {
+        "distribution": ["Y x y", "A B C D E", "slope constant"],
+        "zenith_luminance": ["tangent offset angle", "slope constant"],
+        "zenith_chromaticity": ["x y", "T^2 T 1", "cube square linear constant"],
+    },
+    "extended": {"coefficients": ["Y x y", "u_0 to u_5", "degree in turbidity T", "degree in sun"]},
+}
+_UNITS = {
+    "linear": {"sun": "rad from the zenith", "Y_z": "kcd m^-2"},
+    "extended": {"sun": "rad from the zenith", "Y": "cd m^-2"},
+}
 
 
 def write_coefficients(refit: Refit, path, settings: Mapping[str, str | float | None] | None = None) -> None:
@@ -36,13 +69,16 @@ def write_coefficients(refit: Refit, path, settings: Mapping[str, str | float | 
     **Errors:** `ValueError` where the file cannot be written.
     """
     degrees, turbidity = np.degrees(refit.fitted.sun_zenith), refit.fitted.turbidity
-    linear = isinstance(refit.refitted, Preetham)
+    form = "linear" if isinstance(refit.refitted, Preetham) else "extended"
     record = {
         "schema": _SCHEMA,
         "version": _VERSION,
-        "form": "linear" if linear else "extended",
+        "form": form,
+        "formula": _FORMULAS[form],
+        "axes": _AXES[form],
+        "units": _UNITS[form],
         "published": _as_lists(refit.published, _LINEAR),
-        "refitted": _as_lists(refit.refitted, _LINEAR if linear else _EXTENDED),
+        "refitted": _as_lists(refit.refitted, _LINEAR if form == "linear" else _EXTENDED),
         "valid": {
             "sun_zenith_deg": [float(degrees.min()), float(degrees.max())],
             "turbidity": [float(turbidity.min()), float(turbidity.max())],
@@ -53,7 +89,7 @@ def write_coefficients(refit: Refit, path, settings: Mapping[str, str | float | 
         "result": refit.result,
     }
     with atomic(path) as temporary:
-        temporary.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
+        temporary.write_text(_text(record))
 
 
 def read_coefficients(path) -> Preetham | ExtendedPreetham:
@@ -99,18 +135,20 @@ def read_coefficients(path) -> Preetham | ExtendedPreetham:
     )
 
 
+def _text(record: dict) -> str:
+    """JSON with a line for each name and innermost list of numbers."""
+    text = json.dumps(record, indent=1, allow_nan=False)
+    return re.sub(r"\[[^\[\]{}]*\]", lambda found: re.sub(r"\s+", " ", found[0]), text) + "\n"
+
+
 def _comparison(of: Comparison) -> dict:
-    degrees = np.degrees(of.sun_zenith)
-    skies = [
-        {
-            "sun_zenith_deg": round(float(degrees[i]), 6),
-            "turbidity": float(of.turbidity[i]),
-            "luminance_error": {n: _number(e[i]) for n, e in of.luminance_error.items()},
-            "luminance_95": {n: _number(e[i]) for n, e in of.luminance_95.items()},
-            "chromaticity_error": {n: _number(e[i]) for n, e in of.chromaticity_error.items()},
-        }
-        for i in range(degrees.size)
-    ]
+    skies = {
+        "sun_zenith_deg": [round(float(angle), 6) for angle in np.degrees(of.sun_zenith)],
+        "turbidity": [float(turbidity) for turbidity in of.turbidity],
+    } | {
+        name: {model: [_number(error) for error in errors] for model, errors in getattr(of, name).items()}
+        for name in ("luminance_error", "luminance_95", "chromaticity_error")
+    }
     pooled = {
         part: {n: {k: _number(v) for k, v in e._asdict().items()} for n, e in errors.items()}
         for part, errors in (("overall", of.overall), ("rest", of.rest))
@@ -119,8 +157,13 @@ def _comparison(of: Comparison) -> dict:
 
 
 def _number(value) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    """To four digits, for an error has no more."""
+    return float(f"{value:.4g}") if np.isfinite(value) else None
 
 
 def _as_lists(model, shapes) -> dict:
-    return {name: np.asarray(getattr(model, name), float).tolist() for name in shapes}
+    """Numbers in as few digits as bring them back."""
+    arrays = {name: np.asarray(getattr(model, name)) for name in shapes}
+    return {
+        name: np.vectorize(lambda v: float(str(v)), otypes=[float])(array).tolist() for name, array in arrays.items()
+    }
