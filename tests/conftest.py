@@ -22,9 +22,12 @@ MOST_MAPS = 40_000
 MAPS = Path("/proc/self/maps")
 
 
-# as the command line does: compilation is most of the time of a test
+# compilation is most of the time of a test: programs that run a few times are not worth optimising
+FLAGS = ["--xla_backend_optimization_level=0"]
 if version("jaxlib") == "0.10.2":
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_use_fusion_emitters=false"
+    # as the command line does
+    FLAGS.append("--xla_cpu_use_fusion_emitters=false")
+os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *FLAGS]).strip()
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -69,8 +72,7 @@ def python(checkout: Path) -> Callable:
         "XDG_CACHE_HOME": os.path.join(os.environ[CACHE], "commands"),
         "PYTHONPATH": str(checkout),
     }
-    # programs that run once are not worth optimising
-    place["XLA_FLAGS"] = "--xla_backend_optimization_level=0"
+    place["XLA_FLAGS"] = FLAGS[0]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")} | place
 
     def call(program, *arguments, cwd):

@@ -134,12 +134,9 @@ def test_hard_cases_have_finite_values_and_gradients(name, dtype):
     "name, dtype",
     [
         ("orders spherical", "float32"),
-        *(
-            slow(name, dtype)
-            for name in SOLVERS
-            for dtype in ("float32", "float64")
-            if (name, dtype) != ("orders spherical", "float32")
-        ),
+        *(slow(name, "float32") for name in SOLVERS if name != "orders spherical"),
+        # float32 has the narrower range; in float64 the dear ones are held by their forward mode above
+        *(slow(name, "float64") for name in ("single spherical", "uniform flat", "shells spherical")),
     ],
 )
 def test_hard_cases_have_finite_reverse_gradients(name, dtype):

@@ -1,5 +1,6 @@
 """Upsampling against the solver itself in every direction, and its estimate of its own error."""
 
+import importlib
 from typing import ClassVar
 
 import jax
@@ -17,6 +18,8 @@ from skyfit.transport import AbstractSolver, Observers, Suns
 # what is held here is each integral itself, not how far its sky may be off under a low sun
 pytestmark = pytest.mark.filterwarnings("ignore::skyfit.LowSunWarning")
 
+# the package has the function under the same name
+upsampling = importlib.import_module("skyfit.transport.upsample")
 WAVELENGTHS = np.array([400.0, 550.0, 800.0])
 SOLVERS = {
     "single": SingleScattering.draft(),
@@ -246,6 +249,36 @@ def test_batches_and_precisions_agree():
     with jax.enable_x64(True):
         exact = jax.jit(sky, compiler_options=HASTE)(jnp.asarray(suns[0], float))
         np.testing.assert_allclose(together.radiance[0], exact.radiance, rtol=5e-5)
+
+
+def test_many_directions_are_served_in_pieces(monkeypatch):
+    """As one piece would; a million of them, and their gradient, within a gigabyte."""
+    view = dome(70, edge=88.0)
+
+    def total(haze, zenith):
+        scene = unit_scene(50.0, skyfit.Directions(zenith, view.azimuth), WAVELENGTHS)
+        sky = upsample(SOLVERS["single flat"], hazy(haze=haze), scene, zeniths=6, azimuths=4)
+        return jnp.sum(sky.radiance * jnp.arange(1.0, 71.0)[:, None]), sky
+
+    def both():
+        program = jax.jit(jax.value_and_grad(total, argnums=(0, 1), has_aux=True), compiler_options=HASTE)
+        return program(jnp.asarray(0.2), view.zenith)
+
+    whole = both()
+    monkeypatch.setattr(upsampling, "_CHUNK", 32)
+    jax.clear_caches()
+    for mine, theirs in zip(jax.tree.leaves(both()), jax.tree.leaves(whole), strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-4, atol=1e-5 * np.abs(theirs).max())
+    monkeypatch.undo()
+
+    def many(zenith):
+        scene = unit_scene(50.0, skyfit.Directions(zenith, jnp.zeros_like(zenith)), np.linspace(400.0, 700.0, 16))
+        return jnp.sum(upsample(SOLVERS["single flat"], hazy(), scene).radiance)
+
+    million = jax.ShapeDtypeStruct((1_000_000,), jnp.float32)
+    for function in (many, jax.grad(many)):
+        program = jax.jit(function, compiler_options=HASTE).lower(million).compile()
+        assert program.memory_analysis().temp_size_in_bytes < 1e9
 
 
 def test_what_cannot_be_upsampled_is_refused():

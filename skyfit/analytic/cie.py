@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from ..light import equal_energy, xyY_from_xyz, xyz_from_xyY
+from ..light import daylight, WHITE, xyY_from_xyz, xyz_from_xyY
 from ..numerics import as_float, check_radians, concrete, Ranged, within
 from ..scene import above_horizon, Scene
 from .analytic import AbstractAnalyticSky, check_sun_is_up
@@ -24,7 +24,7 @@ _NARROWEST = 1e-3
 
 
 class CIEClear(AbstractAnalyticSky):
-    r"""The CIE's clear sky, grey: luminance by sun and turbidity, chromaticity 1/3, 1/3.
+    r"""The CIE's clear sky, grey: luminance by sun and turbidity, the chromaticity of D65, which screens show as grey.
 
     $Y = Y_z \frac{(0.91 + 10 e^{-3\gamma} + 0.45 \cos^2\gamma) (1 - e^{-0.32/\cos\theta})}
     {(0.91 + 10 e^{-3\theta_s} + 0.45 \cos^2\theta_s) (1 - e^{-0.32})}$, Perez' form with A, B, C, D, E of
@@ -42,7 +42,7 @@ class CIEClear(AbstractAnalyticSky):
     def zenith(
         self, turbidity: Float[ArrayLike, ""], theta_sun: Float[ArrayLike, ""]
     ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-        r"""Luminance of the zenith, $1000\,[(1.376\,T - 1.81) \tan h + 0.38]$, and 1/3, 1/3.
+        r"""Luminance of the zenith, $1000\,[(1.376\,T - 1.81) \tan h + 0.38]$, and the chromaticity of D65.
 
         **Arguments:** `turbidity`; `theta_sun`, the sun's zenith angle $\pi/2 - h$ in radians.
         **Returns:** cd m^-2, x, y.
@@ -53,8 +53,8 @@ class CIEClear(AbstractAnalyticSky):
         formulas of this kind, neither of which was at hand.
         """
         luminance = _clear_zenith(jnp.asarray(turbidity), theta_sun)
-        third = jnp.full_like(luminance, 1.0 / 3.0)
-        return luminance, third, third
+        x, y = (jnp.full_like(luminance, value) for value in WHITE)
+        return luminance, x, y
 
     def check_range(self, turbidity, sun_zenith) -> None:
         """Raises `ValueError` where the zenith is not bright or the sun not up; for concrete values, outside jit.
@@ -113,7 +113,7 @@ class Intermediate(Ranged):
     r"""A sky that turns from clear to overcast as turbidity rises.
 
     $L = (1 - w) L_{clear} + w L_{overcast}$, $w = 3s^2 - 2s^3$ with s rising from 0 at `clear_turbidity` to 1 at
-    `overcast_turbidity`. The overcast sky is grey: its spectrum is flat. Radiances are mixed, so luminance and
+    `overcast_turbidity`. The overcast sky is grey: its light is that of D65. Radiances are mixed, so luminance and
     spectrum are both those of the two lights together.
 
     **Valid:** the two turbidities in this order, else `ValueError`. Up to the first it is the clear sky alone, from
@@ -152,7 +152,8 @@ class Intermediate(Ranged):
         thin = jnp.minimum(jnp.asarray(turbidity), self.overcast_turbidity)
         clear = jnp.stack(self.clear.luminance_chromaticity(thin, theta_sun, theta, gamma), axis=-1)
         clear = xyz_from_xyY(jnp.concatenate([clear[..., 1:], clear[..., :1]], axis=-1))
-        overcast = overcast_luminance(theta_sun, theta)[..., None]
+        luminance = overcast_luminance(theta_sun, theta)
+        overcast = jnp.stack([luminance * part for part in xyz_from_xyY(jnp.asarray([*WHITE, 1.0]))], axis=-1)
         mixed = (1.0 - share) * clear + share * overcast
         x, y, luminance = jnp.moveaxis(xyY_from_xyz(mixed), -1, 0)
         return luminance, x, y
@@ -166,9 +167,10 @@ class Intermediate(Ranged):
         """Spectral radiance, given that of the clear sky.
 
         **Arguments:** `turbidity`; `scene`; `clear_radiance`, W m^-2 sr^-1 nm^-1, by whatever model.
-        **Returns:** W m^-2 sr^-1 nm^-1. **Valid:** below the horizon the overcast sky is dark.
+        **Returns:** W m^-2 sr^-1 nm^-1. **Valid:** 300-830 nm; below the horizon the overcast sky is dark.
         """
         share = self.overcast_share(turbidity)
         overcast = overcast_luminance(scene.sun_zenith, scene.view.zenith)
         overcast = jnp.where(above_horizon(scene.view.zenith), overcast, 0.0)
-        return (1.0 - share) * clear_radiance + share * equal_energy(overcast, scene.wavelength_nm)
+        grey = overcast[:, None] * daylight(*WHITE, scene.wavelength_nm)[None]
+        return (1.0 - share) * clear_radiance + share * grey

@@ -4,6 +4,9 @@ import os
 import sys
 from importlib.metadata import version
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from . import convert, export, invert, refit, render, simulate
 from .options import app
@@ -14,6 +17,21 @@ _COMMANDS = (simulate, render, refit, export, convert, invert)
 # compiles in two thirds of the time to programs that run as fast. XLA ends the process over a flag that it does not
 # know, so this one is for the jaxlib that it was tried on
 _QUICK_TO_COMPILE, _TRIED_ON = "--xla_cpu_use_fusion_emitters=false", "0.10.2"
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        print(version("skyfit"))
+        raise typer.Exit
+
+
+@app.callback()
+def _program(
+    shown: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="the version, and no more")
+    ] = False,
+) -> None:
+    """What holds for all commands."""
 
 
 def main() -> None:

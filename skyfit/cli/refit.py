@@ -69,7 +69,10 @@ def refit_command(
         float | None, typer.Option(help="degrees: flat for views and suns nearer to the zenith (the paper: 70)")
     ] = None,
 ):
-    """Refit Preetham's coefficients against skies simulated on the spot."""
+    """Refit Preetham's coefficients against skies simulated on the spot.
+
+    Exit code 3 if the fit did not come to its end: the files are written, and the report names what did not.
+    """
     from ..analytic import refit
     from ..atmosphere import HenyeyGreenstein, Tabulated, turbidity_to_optical_depth
     from ..draw import plot_refit
@@ -100,6 +103,8 @@ def refit_command(
     draw_skies(result, skies, form.value)
     print_refit(result)
     console.print(f"written: {coefficients}, {errors}, {skies}", highlight=False)
+    if any(word != "successful" for word in result.result.values()):
+        raise typer.Exit(3)
 
 
 def _haze(form: FormName, haze: HazeName | None, asymmetry: float | None) -> tuple[HazeName, float | None]:

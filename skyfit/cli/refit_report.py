@@ -6,7 +6,7 @@ import numpy as np
 
 from ..analytic import Comparison, model_xyz, Refit
 from ..draw import plot_skies
-from .printing import console, table
+from .printing import console, notices, table
 
 
 # a table of more skies than this is one of suns
@@ -47,7 +47,7 @@ def print_refit(result: Refit) -> None:
     console.print("best five: Perez' formula fitted to each sky alone, what it can do at all", highlight=False)
     for quantity, word in result.result.items():
         if word != "successful":
-            console.print(f"the joint fit of {quantity} ended with: {word}", highlight=False)
+            notices.print(f"skyfit: the joint fit of {quantity} did not end: {word}", style="red", highlight=False)
 
 
 def _table_rows(skies: Comparison):

@@ -1,5 +1,4 @@
 from .colour import (
-    equal_energy as equal_energy,
     LUMINOUS_EFFICACY as LUMINOUS_EFFICACY,
     observer_weights as observer_weights,
     SMALLEST_Y as SMALLEST_Y,
@@ -7,6 +6,7 @@ from .colour import (
     srgb_from_linear as srgb_from_linear,
     SRGB_FROM_XYZ as SRGB_FROM_XYZ,
     srgb_from_xyz as srgb_from_xyz,
+    WHITE as WHITE,
     xyY as xyY,
     xyY_from_xyz as xyY_from_xyz,
     xyz as xyz,

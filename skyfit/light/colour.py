@@ -13,6 +13,8 @@ LUMINOUS_EFFICACY = 683.0  # lm W^-1
 _OBSERVER_AREA = 106.856915  # nm
 
 # IEC 61966-2-1:1999, linear sRGB from XYZ with Y = 1 for white
+# D65, the white of sRGB and of grey skies
+WHITE = (0.3127, 0.3290)
 SRGB_FROM_XYZ = np.array(
     [
         [3.2406, -1.5372, -0.4986],
@@ -85,19 +87,6 @@ def xyz_from_xyY(chromaticity_luminance: Float[Array, "... 3"]) -> Float[Array, 
     luminance = chromaticity_luminance[..., 2]
     scale = luminance / y
     return jnp.stack([x * scale, luminance, (1.0 - x - y) * scale], axis=-1)
-
-
-def equal_energy(
-    luminance: Float[Array, "*direction"], wavelength_nm: Real[Array | np.ndarray, " wavelength"]
-) -> Float[Array, "*direction wavelength"]:
-    r"""The flat spectrum of a luminance, $L_\lambda = Y / (683 \int \bar y\, d\lambda)$.
-
-    **Arguments:** `luminance` cd m^-2; `wavelength_nm` nm. **Returns:** W m^-2 sr^-1 nm^-1, `[..., wavelength]`.
-    **Valid:** everywhere; the colour is that of illuminant E, x = y = 1/3, if the wavelengths cover the visible.
-    **Source:** CIE 015:2018.
-    """
-    flat = luminance / (LUMINOUS_EFFICACY * _OBSERVER_AREA)
-    return jnp.broadcast_to(flat[..., None], (*flat.shape, wavelength_nm.shape[0]))
 
 
 def srgb(

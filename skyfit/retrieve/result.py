@@ -139,10 +139,11 @@ class Fit:
 
     def __str__(self) -> str:
         lines = []
+        factor, unit = (1e3, "mW m-2 sr-1 nm-1") if self.response is None else (1.0, "in the unit of the channels")
         for t, name in enumerate(time_names(self.sky)):
             lines.append(
                 f"{name}  sun zenith {np.degrees(self.sky.sun_at(t)[0]):.1f} deg  {self.result[t]} in "
-                f"{self.steps[t]} steps  rmse {1e3 * self.rmse[t]:.2f} mW m-2 sr-1 nm-1  "
+                f"{self.steps[t]} steps  rmse {factor * self.rmse[t]:.2f} {unit}  "
                 f"reduced chi-square {self.reduced_chi_square[t]:.2f}"
             )
             lobes = self.effective_asymmetry(t)

@@ -106,18 +106,19 @@ def unit_vectors(
     return jnp.stack([sine * jnp.sin(azimuth), sine * jnp.cos(azimuth), jnp.cos(zenith)])
 
 
-def fisheye(size: int) -> Float[Array, "3 row column"]:
+def fisheye(size: int, mirrored: bool = False) -> Float[Array, "3 row column"]:
     r"""Unit vectors of the pixels of a dome: zenith in the middle, the horizon as its rim, north up, east right.
 
     The zenith angle grows linearly with the distance from the middle, $\theta = \frac{\pi}{2} r$.
 
-    **Arguments:** `size`, pixels across, >= 1. **Returns:** dimensionless, `[3, row, column]`, the top row first.
+    **Arguments:** `size`, pixels across, >= 1; `mirrored`: east left, as all-sky cameras have it.
+    **Returns:** dimensionless, `[3, row, column]`, the top row first.
     **Valid:** the corners lie below the horizon, z < 0.
     """
     if size < 1:
         raise ValueError(f"`size` must be >= 1, got {size}")
     edge = (np.arange(size) + 0.5) / size * 2.0 - 1.0
-    x, y = np.meshgrid(edge, edge[::-1])
+    x, y = np.meshgrid(edge[::-1] if mirrored else edge, edge[::-1])
     radius = np.hypot(x, y)
     # numpy's sinc has pi in it: sin(pi r / 2) / r
     sine = 0.5 * np.pi * np.sinc(0.5 * radius)

@@ -21,6 +21,8 @@ from .optics import optics
 _EDGE = {"flat": np.radians(88.0), "spherical": 0.5 * np.pi}
 # how much the nodes crowd the horizon, and the points of a scatterer's mean sunlight
 _CROWDING, _HEIGHTS = 1.3, 8
+# directions that are served at once: their weights take 1.1 kB each, twice
+_CHUNK = 32768
 # W m^-2 sr^-1 nm^-1; what is darker counts as black
 _DARK = 1e-30
 
@@ -85,15 +87,27 @@ def _upsampled(solver: AbstractSolver, atmosphere: Atmosphere, scene: Scene, zen
     top = jax.lax.stop_gradient(jnp.max(smooth, axis=0))[None]
     smooth = smooth - top
 
-    zenith = scene.view.zenith
-    place, turn = grid.place(zenith), jnp.cos(scene.view.azimuth - scene.sun_azimuth)
-    exponent = jnp.minimum(grid.weights(place, turn) @ smooth, 1.0)
-    radiance = jnp.exp(exponent + top + _log_phase(atmosphere, scene, solver.geometry))
-    error = grid.hats(place, turn) @ grid.missed(places, turns, jax.lax.stop_gradient(smooth))
-    rounding = 30.0 * jnp.finfo(error.dtype).eps
-    error = jnp.where((zenith > grid.edge + 1e-6)[:, None], 1.0, error + rounding)
-    lit = above_horizon(zenith)[:, None] & ~jnp.all(dark, axis=0)[None]
-    return Upsampled(jnp.where(lit, radiance, 0.0), jnp.where(lit, jax.lax.stop_gradient(error), 0.0))
+    missed = grid.missed(places, turns, jax.lax.stop_gradient(smooth))
+
+    def served(view: Directions) -> Upsampled:
+        zenith = view.zenith
+        place, turn = grid.place(zenith), jnp.cos(view.azimuth - scene.sun_azimuth)
+        exponent = jnp.minimum(grid.weights(place, turn) @ smooth, 1.0)
+        radiance = jnp.exp(exponent + top + _log_phase(atmosphere, replace(scene, view=view), solver.geometry))
+        error = grid.hats(place, turn) @ missed
+        rounding = 30.0 * jnp.finfo(error.dtype).eps
+        error = jnp.where((zenith > grid.edge + 1e-6)[:, None], 1.0, error + rounding)
+        lit = above_horizon(zenith)[:, None] & ~jnp.all(dark, axis=0)[None]
+        return Upsampled(jnp.where(lit, radiance, 0.0), jnp.where(lit, jax.lax.stop_gradient(error), 0.0))
+
+    count = scene.view.zenith.shape[0]
+    if count <= _CHUNK:
+        return served(scene.view)
+    blocks = -(-count // _CHUNK)
+    filled = jax.tree.map(lambda v: jnp.pad(v, (0, blocks * _CHUNK - count), "edge").reshape(blocks, -1), scene.view)
+    # a gradient computes each block again, so that it needs no more memory than one
+    found = jax.lax.map(jax.checkpoint(served), filled)
+    return jax.tree.map(lambda v: v.reshape(-1, v.shape[-1])[:count], found)
 
 
 class _Grid(NamedTuple):
