@@ -4,11 +4,13 @@ import json
 
 import numpy as np
 import OpenEXR
+import OpenImageIO
 import PIL.Image
 import pytest
 
 import skyfit
 from skyfit.image.disc import add_disc, RADIUS
+from skyfit.image.files import aces
 from skyfit.image.render import SPECTRUM
 from skyfit.light import extraterrestrial_irradiance
 
@@ -19,6 +21,7 @@ CAMERAS = (
     skyfit.Camera("fisheye", 30, 30, field_of_view=2.0 * np.pi, mirrored=True),
     skyfit.Camera("perspective", 40, 30, azimuth=4.0, elevation=0.5, field_of_view=1.2),
     skyfit.Camera("perspective", 40, 30, azimuth=-1.0, elevation=-0.4, field_of_view=2.5),
+    skyfit.Camera("cube", 192, 32, azimuth=2.0),
 )
 EXTENDED = skyfit.ExtendedPreetham.shipped()
 SUN = {"sun_zenith": np.radians(60.0), "sun_azimuth": np.radians(240.0)}
@@ -43,7 +46,7 @@ def test_a_view_falls_on_its_own_pixel(camera):
 def test_a_pixel_sees_what_its_neighbours_leave_it(camera):
     """Its solid angle is that of the parallelogram of the steps to the pixels beside it."""
     views = camera.views().astype(float)
-    middle = camera.height // 2, camera.width // 3
+    middle = camera.height // 2, 5 * camera.width // 12
     down = 0.5 * (views[:, middle[0] + 1, middle[1]] - views[:, middle[0] - 1, middle[1]])
     right = 0.5 * (views[:, middle[0], middle[1] + 1] - views[:, middle[0], middle[1] - 1])
     size = camera.solid_angle(np.array(float(middle[0])), np.array(float(middle[1])))
@@ -65,6 +68,17 @@ def test_the_whole_sphere_and_where_things_are():
     east = fisheye.views()[:, 50, 90]
     assert east[0] > 0.9 and fisheye.views()[1, 10, 50] > 0.9 and fisheye.views()[2, 50, 50] == 1.0
     assert skyfit.Camera("fisheye", 101, 101, mirrored=True).views()[0, 50, 90] < -0.9
+    cube = skyfit.Camera("cube", 72, 12, azimuth=2.0)
+    assert cube.solid_angle(*every(cube)).sum() == pytest.approx(4.0 * np.pi, rel=2e-3)
+    faces = cube.views().reshape(3, 12, 6, 12)
+    # the middles of the faces: right, left, up, down, ahead, behind
+    middles = faces[:, 5:7, :, 5:7].mean(axis=(1, 3))
+    level = [skyfit.unit_vectors(0.5 * np.pi, 2.0 + turn) for turn in (0.5 * np.pi, -0.5 * np.pi, 0.0, np.pi)]
+    wanted = np.stack([*level[:2], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0], *level[2:]], axis=1)
+    np.testing.assert_allclose(middles, wanted, atol=0.02)
+    # the sides stand upright; who looks up has what is behind on top
+    assert all(faces[2, 0, face, 6] > 0.5 > -0.5 > faces[2, -1, face, 6] for face in (0, 1, 4, 5))
+    assert faces[:, 0, 2, 6] @ level[3] > 0.5 and faces[:, 0, 3, 6] @ level[2] > 0.5
     narrow = skyfit.Camera("perspective", 3, 3, azimuth=0.5, elevation=0.3, field_of_view=0.1)
     np.testing.assert_allclose(narrow.views()[:, 1, 1], skyfit.unit_vectors(0.5 * np.pi - 0.3, 0.5), atol=1e-6)
     assert narrow.views()[2, 0, 1] > narrow.views()[2, 2, 1]
@@ -76,6 +90,7 @@ def test_the_whole_sphere_and_where_things_are():
         skyfit.Camera("equirect", 64, 32),
         skyfit.Camera("equirect", 4096, 2048),
         skyfit.Camera("fisheye", 64, 64),
+        skyfit.Camera("cube", 192, 32),
         skyfit.Camera("perspective", 256, 256, azimuth=0.7, elevation=np.radians(20.0), field_of_view=0.02),
     ),
 )
@@ -237,6 +252,11 @@ def test_files_hold_the_picture(image, tmp_path):
         scale, pixels = file.header()["whiteLuminance"], file.channels()["RGB"].pixels
         assert pixels.dtype == np.float16 and np.isfinite(pixels).all() and scale > 1.0
         np.testing.assert_allclose(pixels.astype(float) * scale, image.xyz, rtol=1e-3, atol=scale * 1e-4)
+    image.save(tmp_path / "a.hdr")
+    assert (tmp_path / "a.hdr").read_bytes().startswith(b"#?RADIANCE")
+    shared_exponent = OpenImageIO.ImageBuf(str(tmp_path / "a.hdr")).get_pixels(OpenImageIO.FLOAT)
+    linear = np.maximum(image.rgb(), 0.0)
+    assert np.all(np.abs(shared_exponent - linear) <= linear.max(axis=2, keepdims=True) / 128.0)
     image.save(tmp_path / "a.png", exposure=14.0, tone="clip")
     png = np.asarray(PIL.Image.open(tmp_path / "a.png"))
     expected = image.developed(14.0, tone="clip")
@@ -246,8 +266,22 @@ def test_files_hold_the_picture(image, tmp_path):
     image.save_lamp(tmp_path / "lamp.json")
     lamp = json.loads((tmp_path / "lamp.json").read_text())
     assert lamp["toward_east_north_up"][2] == pytest.approx(0.5) and 4e4 < lamp["illuminance_lx"] < 1.2e5
-    with pytest.raises(ValueError, match="must end in .exr or .png"):
+    with pytest.raises(ValueError, match="must end in .exr, .hdr or .png"):
         image.save(tmp_path / "a.jpg")
+    with pytest.raises(ValueError, match="are of an .exr"):
+        image.save(tmp_path / "b.hdr", space="acescg")
+    with pytest.raises(ValueError, match="existing folder"):
+        image.save(tmp_path / "no" / "a.png")
+
+
+def test_the_curve_of_aces(image):
+    """Grey of 18 % at a tenth of white, as its makers set it; grey stays grey, brighter is brighter."""
+    ramp = np.append(0.18, np.geomspace(1e-3, 1e3, 30)).astype(np.float32)
+    shown = aces(np.repeat(ramp[None, :, None], 3, axis=2))[0]
+    assert np.ptp(shown, axis=1).max() < 2e-3 and np.all(np.diff(shown[1:, 1]) > -1e-5) and shown.max() <= 1.0
+    assert ((shown[0, 1] + 0.055) / 1.055) ** 2.4 == pytest.approx(0.1, rel=0.02)
+    picture = image.developed(tone="aces")
+    assert picture.shape == image.xyz.shape and np.isfinite(picture).all() and 0.2 < picture.mean() < 0.8
 
 
 def test_colours_are_those_of_the_spaces(image):
@@ -292,6 +326,8 @@ def test_what_cannot_be_rendered_is_refused(change, said):
         skyfit.render(skyfit.Atmosphere.from_turbidity(2.0), solver=skyfit.SingleScattering(), height=1e4, **SUN)
     with pytest.raises(ValueError, match="`width` must be"):
         skyfit.Camera(width=0)
+    with pytest.raises(ValueError, match="6 times"):
+        skyfit.Camera("cube", 100, 50)
 
 
 def test_the_command_writes_a_picture_and_a_lamp(skyfit_command, tmp_path):

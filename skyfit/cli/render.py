@@ -15,6 +15,7 @@ class ProjectionName(StrEnum):
 
     equirect = "equirect"
     fisheye = "fisheye"
+    cube = "cube"
     perspective = "perspective"
 
 
@@ -30,6 +31,7 @@ class ToneName(StrEnum):
     """What becomes of what is brighter than white."""
 
     filmic = "filmic"
+    aces = "aces"
     clip = "clip"
 
 
@@ -42,10 +44,16 @@ class SpaceName(StrEnum):
     xyz = "xyz"
 
 
+_SIZES = {
+    ProjectionName.equirect: (1024, 512), ProjectionName.fisheye: (1024, 1024), ProjectionName.cube: (1536, 256),
+    ProjectionName.perspective: (1024, 576),
+}  # fmt: skip
+
+
 @app.command()
 def render(
     context: typer.Context,
-    out: Annotated[Path, typer.Option(help="picture to write: .exr, linear, or .png, developed")],
+    out: Annotated[Path, typer.Option(help="picture to write: .exr or .hdr, linear, or .png, developed")],
     sun_zenith: SunZenith = None,
     sun_azimuth: SunAzimuth = None,
     time: Annotated[str | None, typer.Option(help="ISO, UTC, with --at")] = None,
@@ -66,10 +74,14 @@ def render(
     projection: Annotated[
         ProjectionName,
         typer.Option(
-            help="equirect: zenith on top, azimuth growing to the right; fisheye: looks up, north up, east right"
+            help="equirect: zenith on top, azimuth growing to the right; fisheye: looks up, north up, east right; "
+            "cube: six faces side by side, as cube maps have them"
         ),
     ] = ProjectionName.equirect,
-    size: Annotated[str, typer.Option(metavar="WxH", help="pixels")] = "1024x512",
+    size: Annotated[
+        str | None,
+        typer.Option(metavar="WxH", help="pixels  [default: by the projection]", show_default=False),
+    ] = None,
     azimuth: Annotated[
         float | None, typer.Option(help="degrees, of the middle column  [default: the sun's]", show_default=False)
     ] = None,
@@ -89,7 +101,9 @@ def render(
     white_balance: Annotated[
         float | None, typer.Option(help="K of the daylight that is white  [default: D65]", show_default=False)
     ] = None,
-    tone: Annotated[ToneName, typer.Option(help="of a .png: a shoulder, or cut off at white")] = ToneName.filmic,
+    tone: Annotated[
+        ToneName, typer.Option(help="of a .png: a shoulder, that of ACES 2.0, or cut off at white")
+    ] = ToneName.filmic,
     space: Annotated[SpaceName, typer.Option(help="of an .exr")] = SpaceName.srgb,
     half: Annotated[bool, typer.Option("--half", help=".exr in half precision, scaled by its whiteLuminance")] = False,
 ):
@@ -111,8 +125,8 @@ def render(
 
     # a picture needs no more than float32
     context.with_resource(jax.enable_x64(False))
-    if out.suffix not in (".exr", ".png") or not out.absolute().parent.is_dir():
-        raise ValueError(f"`--out` must be a .exr or .png file in a folder that is there, got {out}")
+    if out.suffix not in (".exr", ".hdr", ".png") or not out.absolute().parent.is_dir():
+        raise ValueError(f"`--out` must be a .exr, .hdr or .png file in a folder that is there, got {out}")
     in_range("--ground-albedo", ground_albedo, 0.0, 1.0)
     if atmosphere is not None and turbidity is not None:
         raise ValueError("`--turbidity` must be left out with `--atmosphere`, whose file holds the haze")
@@ -138,7 +152,7 @@ def render(
         sky = analytic_of(solver)
         lowest, asked = SUN_ZENITH_RANGE_DEG[1], {"turbidity": haze, "ground_albedo": ground_albedo}
     zenith, around, _ = sun_of(sun_zenith, sun_azimuth, time, at, SEA_LEVEL_PRESSURE, lowest)
-    width, rows = _size(size)
+    width, rows = _SIZES[projection] if size is None else _size(size)
     view = None if field_of_view is None else float(np.radians(field_of_view))
     camera = Camera(
         projection.value, width, rows, float(np.radians(around if azimuth is None else azimuth)),

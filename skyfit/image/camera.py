@@ -1,7 +1,7 @@
 """Which way each pixel of a picture looks, and how much of the sphere it sees."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import get_args, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Real
@@ -9,9 +9,14 @@ from jaxtyping import Bool, Float, Real
 from ..numerics import check_range
 
 
-Projection = Literal["equirect", "fisheye", "perspective"]
+Projection = Literal["equirect", "fisheye", "cube", "perspective"]
 # pixels on a side
 _LARGEST = 16384.0
+# right, up and ahead of each face of a cube, on the axes right, up and ahead of who looks at its fifth
+_FACES = np.array([
+    [[0, 0, -1], [0, 1, 0], [1, 0, 0]], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+    [[1, 0, 0], [0, 0, 1], [0, -1, 0]], [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
+], float)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -22,6 +27,8 @@ class Camera:
     - "fisheye": looks up; the angle from the zenith grows linearly with the distance from the middle and is half of
       `field_of_view` at the nearer edges, beyond which nothing is seen. North is up; east is right as on a map, or left
       with `mirrored`, as who lies on his back sees it.
+    - "cube": six square faces side by side, in the order and orientation of cube maps (x right, y up, z ahead): right,
+      left, up, down, ahead and behind of who looks toward `azimuth`.
     - "perspective": a pinhole that spans `field_of_view` from left to right.
 
     `azimuth`, clockwise from north, of the middle column; `elevation` of the middle of a perspective picture;
@@ -38,10 +45,12 @@ class Camera:
     mirrored: bool = False
 
     def __post_init__(self):
-        if self.projection not in ("equirect", "fisheye", "perspective"):
-            raise ValueError(f'`projection` must be "equirect", "fisheye" or "perspective", got {self.projection!r}')
+        if self.projection not in get_args(Projection):
+            raise ValueError(f"`projection` must be one of {', '.join(get_args(Projection))}, got {self.projection!r}")
         for name in ("width", "height"):
             check_range(name, getattr(self, name), 1.0, _LARGEST, "pixels")
+        if self.projection == "cube" and self.width != 6 * self.height:
+            raise ValueError(f"`width` of a cube must be 6 times `height`, got {self.width} and {self.height}")
         check_range("azimuth", self.azimuth, -4.0 * np.pi, 4.0 * np.pi, "rad")
         check_range("elevation", self.elevation, -0.5 * np.pi, 0.5 * np.pi, "rad")
         pinhole = self.projection == "perspective"
@@ -55,6 +64,11 @@ class Camera:
             zenith, azimuth = np.pi * row / self.height, self.azimuth + 2.0 * np.pi * (column / self.width - 0.5)
             sine = np.sin(zenith)
             return np.stack([sine * np.sin(azimuth), sine * np.cos(azimuth), np.cos(zenith)]).astype(np.float32)
+        if self.projection == "cube":
+            face = self._cube[(column // self.height).astype(int)]
+            x, y = 2.0 * (column % self.height) / self.height - 1.0, 1.0 - 2.0 * row / self.height
+            views = face[..., 2, :] + face[..., 0, :] * x[..., None] + face[..., 1, :] * y[..., None]
+            return np.moveaxis(views / np.linalg.norm(views, axis=-1, keepdims=True), -1, 0).astype(np.float32)
         x, y = column - 0.5 * self.width, 0.5 * self.height - row
         if self.projection == "fisheye":
             angle = self._per_pixel * np.hypot(x, y)
@@ -70,6 +84,9 @@ class Camera:
         if self.projection == "equirect":
             edge = np.cos(np.pi * np.stack([row, row + 1.0]) / self.height)
             return 2.0 * np.pi / self.width * (edge[0] - edge[1])
+        if self.projection == "cube":
+            across, down = ((2.0 * (v % self.height) + 1.0) / self.height - 1.0 for v in (column, row))
+            return (2.0 / self.height) ** 2 / (1.0 + across**2 + down**2) ** 1.5
         distance = np.hypot(column + 0.5 - 0.5 * self.width, row + 0.5 - 0.5 * self.height)
         if self.projection == "fisheye":
             size = self._per_pixel**2 * np.abs(np.sinc(self._per_pixel * distance / np.pi))
@@ -91,6 +108,14 @@ class Camera:
             seen = angle <= 0.5 * self.across
             length = angle / self._per_pixel / np.where(flat > 0.0, flat, 1.0)
             row, column = 0.5 * self.height - length * north, 0.5 * self.width + length * east * self._east
+        elif self.projection == "cube":
+            along = self._cube @ views
+            face = np.argmax(along[:, 2], axis=0)
+            x, y, depth = np.take_along_axis(along, face[None, None], axis=0)[0]
+            # the edge of a face is its own
+            last = self.height - 1e-6
+            row = np.clip(0.5 * self.height * (1.0 - y / depth), 0.0, last)
+            column = face * self.height + np.clip(0.5 * self.height * (1.0 + x / depth), 0.0, last)
         else:
             x, y, depth = (axis @ views for axis in self._axes)
             # what is behind falls outside
@@ -117,6 +142,12 @@ class Camera:
     @property
     def _focal(self) -> float:
         return 0.5 * self.width / np.tan(0.5 * self.across)
+
+    @property
+    def _cube(self) -> np.ndarray:
+        """Right, up and ahead of each face, east, north, up `[face, axis, 3]`."""
+        sine, cosine = np.sin(self.azimuth), np.cos(self.azimuth)
+        return _FACES @ np.array([[cosine, -sine, 0.0], [0.0, 0.0, 1.0], [sine, cosine, 0.0]])
 
     @property
     def _axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -15,10 +15,11 @@ from ..measured import atomic
 from ..numerics import check_range
 from ..scene import unit_vectors
 from .camera import Camera
+from .files import aces, write_picture
 
 
 Space = Literal["srgb", "rec2020", "acescg", "xyz"]
-Tone = Literal["filmic", "clip"]
+Tone = Literal["filmic", "aces", "clip"]
 _NAMES = {"srgb": "sRGB", "rec2020": "ITU-R BT.2020", "acescg": "ACEScg"}
 # white is this many times the mean luminance (cd m^-2) to this power: what was once dark stays a little darker
 _WHITE, _POWER = 8.0, 0.93
@@ -84,12 +85,16 @@ class Image:
         """Encoded sRGB from 0 to 1: of what `white` makes white.
 
         **Arguments:** `exposure` as `white`; `white_balance` as `rgb`; `tone`: "filmic", whose shoulder is the same for
-        the three channels, so that colours stay, and what is far brighter than white turns white, or "clip".
+        the three channels, so that colours stay, and what is far brighter than white turns white; "aces", the output
+        transform of ACES 2.0; or "clip".
         **Source:** IEC 61966-2-1:1999.
         """
-        if tone not in ("filmic", "clip"):
-            raise ValueError(f'`tone` must be "filmic" or "clip", got {tone!r}')
-        linear = np.maximum(self.rgb("srgb", white_balance) / self.white(exposure), 0.0)
+        if tone not in ("filmic", "aces", "clip"):
+            raise ValueError(f'`tone` must be "filmic", "aces" or "clip", got {tone!r}')
+        linear = self.rgb("srgb", white_balance) / self.white(exposure)
+        if tone == "aces":
+            return aces(linear)
+        linear = np.maximum(linear, 0.0)
         if tone == "filmic":
             peak = np.maximum(linear.max(axis=2, keepdims=True), 1e-12)
             pale = -np.expm1(-_PALER * np.maximum(peak - 1.0, 0.0))
@@ -106,24 +111,34 @@ class Image:
         space: Space = "srgb",
         half: bool = False,
     ) -> None:
-        """Writes the picture: `.exr`, linear, or `.png`, developed, 8 bits.
+        """Writes the picture: `.exr` or `.hdr`, linear, or `.png`, developed, 8 bits.
 
         **Arguments:** `exposure` and `tone` of a PNG; `space` and `half` of an EXR: red, green, blue in cd m^-2 times
         its `whiteLuminance`, which is 1, or with `half` precision a power of two that keeps the largest within it.
-        **Errors:** `ValueError` for another suffix.
+        A Radiance `.hdr` is linear sRGB in cd m^-2, negative values cut off.
+        **Errors:** `ValueError` for another suffix, a `space` or `half` precision that an `.hdr` does not know.
         """
         path = Path(path)
         if path.suffix == ".png":
-            from PIL import Image as Pillow
-
             pixels = np.round(255.0 * self.developed(exposure, white_balance, tone)).astype(np.uint8)
-            with atomic(path) as part, part.open("wb") as file:
-                Pillow.fromarray(pixels).save(file, format="png")
+            write_picture(path, pixels, "uint8", {"ImageDescription": self.told()})
         elif path.suffix == ".exr":
-            with atomic(path) as part:
-                _write_exr(part, self.rgb(space, white_balance), space, half, self.told())
+            rgb = self.rgb(space, white_balance)
+            scale = _half_scale(rgb, half)
+            about = {
+                "compression": "zip", "whiteLuminance": scale, "chromaticities": _chromaticities(space),
+                "ImageDescription": self.told(),
+            }  # fmt: skip
+            write_picture(
+                path, (rgb / scale).astype(np.float16 if half else np.float32), "half" if half else "float", about
+            )
+        elif path.suffix == ".hdr":
+            if space != "srgb" or half:
+                raise ValueError("`space` and `half` are of an .exr: an .hdr is linear sRGB of its own precision")
+            rgb = np.maximum(self.rgb("srgb", white_balance), 0.0).astype(np.float32)
+            write_picture(path, rgb, "float", {"ImageDescription": self.told()})
         else:
-            raise ValueError(f"`path` must end in .exr or .png, got {path}")
+            raise ValueError(f"`path` must end in .exr, .hdr or .png, got {path}")
 
     def told(self) -> str:
         """Which way the picture is up, and of what sun it is, in words."""
@@ -133,6 +148,8 @@ class Image:
             "the middle",
             "fisheye": f"zenith in the middle, north up, east {'left' if camera.mirrored else 'right'}, "
             f"{_degrees(camera.across)} across",
+            "cube": "six faces as of a cube map, from left to right: right, left, up, down, ahead and behind of "
+            f"azimuth {_degrees(camera.azimuth)}",
             "perspective": f"toward azimuth {_degrees(camera.azimuth)}, elevation {_degrees(camera.elevation)}, "
             f"{_degrees(camera.across)} from left to right",
         }[camera.projection]
@@ -180,24 +197,17 @@ def _matrix(space: str, white_balance: float | None) -> Float[np.ndarray, "3 3"]
     return known.matrix_XYZ_to_RGB @ own @ balanced
 
 
-def _write_exr(path: Path, rgb: np.ndarray, space: Space, half: bool, told: str) -> None:
-    import OpenEXR
+def _half_scale(rgb: np.ndarray, half: bool) -> float:
+    """The power of two that keeps the largest value within half precision, 1 without it."""
+    largest = float(np.max(rgb, initial=0.0))
+    return 2.0 ** max(np.ceil(np.log2(largest / _LARGEST_HALF)), 0.0) if half and largest > 0.0 else 1.0
+
+
+def _chromaticities(space: Space) -> tuple[float, ...]:
+    """x and y of red, green, blue and white."""
+    if space == "xyz":
+        return 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0 / 3.0, 1.0 / 3.0
     from colour import RGB_COLOURSPACES
 
-    scale = 1.0
-    if half:
-        largest = float(np.max(rgb, initial=0.0))
-        scale = 2.0 ** max(np.ceil(np.log2(largest / _LARGEST_HALF)), 0.0) if largest > 0.0 else 1.0
-    header = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
-        "whiteLuminance": scale,
-        "comments": told,
-    }
-    if space == "xyz":
-        header["chromaticities"] = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0 / 3.0, 1.0 / 3.0)
-    else:
-        known = RGB_COLOURSPACES[_NAMES[space]]
-        header["chromaticities"] = (*known.primaries.ravel().tolist(), *known.whitepoint.tolist())
-    kind = np.float16 if half else np.float32
-    OpenEXR.File(header, {"RGB": np.ascontiguousarray(rgb / scale, kind)}).write(str(path))
+    known = RGB_COLOURSPACES[_NAMES[space]]
+    return *known.primaries.ravel().tolist(), *known.whitepoint.tolist()
