@@ -72,8 +72,7 @@ OPTIONS = {
 }  # fmt: skip
 # all that must be refused, and of the others some, whose pictures take longest
 DRAWN = (
-    "netcdf", "csv in mW", "netcdf with holes", "netcdf saturated", "netcdf place exchanged", "netcdf a time twice",
-    "netcdf axes under each other's name", "scan with azimuths clockwise",
+    "netcdf", "netcdf with holes", "netcdf a time twice", "netcdf axes under each other's name",
 )  # fmt: skip
 CALLED = {name: case for name, case in FILES.items() if case.ends == "error" or name in DRAWN}
 

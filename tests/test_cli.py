@@ -1,6 +1,7 @@
 import inspect
 import json
 from dataclasses import replace
+from importlib.metadata import version
 
 import numpy as np
 import pytest
@@ -385,7 +386,7 @@ HELPS = """
 import json, pathlib, sys
 from skyfit.cli import main
 loaded = {}
-for command in ("", "simulate", "convert", "invert", "refit", "predict"):
+for command in ("", "simulate", "render", "export", "convert", "invert", "refit", "predict"):
     sys.argv[1:] = [*command.split(), "--help"]
     try:
         main()
@@ -403,9 +404,13 @@ def test_help_loads_no_more_than_it_says(python, tmp_path):
         roots = {name.split(".")[0] for name in modules}
         assert not roots & {"equinox", "jax", "jaxlib", "jaxtyping", "matplotlib", "numpy", "rich", "scipy"}, command
         own = {name for name in modules if name.split(".")[0] == "skyfit"}
-        assert all(name == "skyfit" or name.startswith("skyfit.cli") for name in own) and len(own) < 12, command
+        assert all(name == "skyfit" or name.startswith("skyfit.cli") for name in own) and len(own) < 13, command
     for words in ("OrdersOfScattering.normal", "polarised", "float64", *skyfit.transport.SOLVERS):
         assert words in done.stdout, words
+
+
+def test_the_version_is_that_of_the_package(skyfit_command, tmp_path):
+    assert skyfit_command("--version", cwd=tmp_path).stdout.strip() == version("skyfit")
 
 
 def test_a_kept_program_gives_the_same_sky(tmp_path, monkeypatch):

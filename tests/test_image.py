@@ -358,3 +358,32 @@ def test_the_command_says_what_is_wrong_in_a_line(skyfit_command, tmp_path, word
     done = skyfit_command("render", "--out", "a.png", *words, cwd=tmp_path, check=False)
     assert done.returncode == 2 and len(done.stderr.strip().splitlines()) == 1 and said in done.stderr
     assert not (tmp_path / "a.png").exists()
+
+
+def test_a_time_lapse_goes_on_where_it_ended(skyfit_command, tmp_path):
+    words = (
+        "render", "--out", "day.png", "--at", "48,11", "--time", "2026-06-21T16:00Z", "--until", "2026-06-21T18:00Z",
+        "--solver", "extended", "--size", "32x16",
+    )  # fmt: skip
+    done = skyfit_command(*words, "--frames", 3, cwd=tmp_path)
+    names = ["day.0001.png", "day.0002.png", "day.0003.png", "day.frames.json", "day.sheet.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names and "16:00:00Z" in done.stdout
+    kept = tmp_path / "day.0001.png"
+    before, frame = kept.stat().st_mtime_ns, (tmp_path / "day.0002.png").read_bytes()
+    (tmp_path / "day.0002.png").unlink()
+    skyfit_command(*words, "--frames", 3, cwd=tmp_path)
+    assert kept.stat().st_mtime_ns == before and (tmp_path / "day.0002.png").read_bytes() == frame
+    # the sun goes down: the picture before is brighter by day's law
+    light = [np.asarray(PIL.Image.open(tmp_path / name)).mean() for name in names[:3]]
+    assert light[0] > light[2]
+    refused = skyfit_command(*words, "--frames", 4, cwd=tmp_path, check=False)
+    assert refused.returncode == 2 and "frames of other settings" in refused.stderr
+    for wrong in (
+        ("--frames", 1),
+        (),
+        ("--frames", 3, "--until", "2026-06-21T15:00Z"),
+        ("--frames", 3, "--until", "x"),
+    ):
+        refused = skyfit_command(*words, *wrong, cwd=tmp_path, check=False)
+        assert refused.returncode == 2 and len(refused.stderr.strip().splitlines()) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == names

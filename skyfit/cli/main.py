@@ -19,7 +19,7 @@ _COMMANDS = (simulate, render, refit, export, convert, invert)
 _QUICK_TO_COMPILE, _TRIED_ON = "--xla_cpu_use_fusion_emitters=false", "0.10.2"
 
 
-def _print_version(asked: bool) -> None:
+def _print_version(asked: bool | None) -> None:
     if asked:
         print(version("skyfit"))
         raise typer.Exit
@@ -28,8 +28,8 @@ def _print_version(asked: bool) -> None:
 @app.callback()
 def _program(
     shown: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="the version, and no more")
-    ] = False,
+        bool | None, typer.Option("--version", callback=_print_version, is_eager=True, help="the version, and no more")
+    ] = None,
 ) -> None:
     """What holds for all commands."""
 

@@ -56,8 +56,12 @@ def render(
     out: Annotated[Path, typer.Option(help="picture to write: .exr or .hdr, linear, or .png, developed")],
     sun_zenith: SunZenith = None,
     sun_azimuth: SunAzimuth = None,
-    time: Annotated[str | None, typer.Option(help="ISO, UTC, with --at")] = None,
+    time: Annotated[str | None, typer.Option(help="ISO, UTC unless it says, with --at")] = None,
     at: Place = None,
+    until: Annotated[
+        str | None, typer.Option(help="last time of a time-lapse: numbered frames, and of .png a contact sheet")
+    ] = None,
+    frames: Annotated[int | None, typer.Option(help="of a time-lapse; those that are there stay")] = None,
     turbidity: Annotated[
         float | None, typer.Option(help="Preetham's, at 550 nm (>= 1)  [default: 3]", show_default=False)
     ] = None,
@@ -121,6 +125,7 @@ def render(
     from ..transport import SOLVERS
     from .models import analytic_of, atmosphere_of, FORMULAS, make_solver
     from .printing import console, progress
+    from .sequence import begin, Frame, frames_of
     from .sun import sun_of
 
     # a picture needs no more than float32
@@ -151,24 +156,54 @@ def render(
             )
         sky = analytic_of(solver)
         lowest, asked = SUN_ZENITH_RANGE_DEG[1], {"turbidity": haze, "ground_albedo": ground_albedo}
-    zenith, around, _ = sun_of(sun_zenith, sun_azimuth, time, at, SEA_LEVEL_PRESSURE, lowest)
+    if until is None:
+        zenith, around, _ = sun_of(sun_zenith, sun_azimuth, time, at, SEA_LEVEL_PRESSURE, lowest)
+        todo = [Frame(out, time, zenith, around)]
+    else:
+        todo = frames_of(out, time, until, frames, at, SEA_LEVEL_PRESSURE, lowest)
+        around = todo[len(todo) // 2].azimuth
     width, rows = _SIZES[projection] if size is None else _size(size)
     view = None if field_of_view is None else float(np.radians(field_of_view))
     camera = Camera(
         projection.value, width, rows, float(np.radians(around if azimuth is None else azimuth)),
         float(np.radians(elevation)), view, mirror,
     )  # fmt: skip
-    with progress("rendering"):
-        picture = rendered(
-            sky, camera, sun_zenith=float(np.radians(zenith)), sun_azimuth=float(np.radians(around)), sun=sun.value,
-            **asked,
-        )  # fmt: skip
-        picture.save(out, exposure=exposure, white_balance=white_balance, tone=tone.value, space=space.value, half=half)
-    if sun is SunName.lamp:
-        picture.save_lamp(out.with_suffix(".lamp.json"))
+    if until is not None:
+        begin(out, {name: value for name, value in context.params.items() if name != "out"})
+    with progress("rendering") as report:
+        for number, frame in enumerate(todo):
+            report(number, len(todo))
+            if until is not None and frame.path.exists():
+                continue
+            picture = rendered(
+                sky, camera, sun_zenith=float(np.radians(frame.zenith)), sun_azimuth=float(np.radians(frame.azimuth)),
+                sun=sun.value, **asked,
+            )  # fmt: skip
+            if sun is SunName.lamp:
+                picture.save_lamp(frame.path.with_suffix(".lamp.json"))
+            picture.save(
+                frame.path, exposure=exposure, white_balance=white_balance, tone=tone.value, space=space.value,
+                half=half,
+            )  # fmt: skip
+    if until is not None:
+        _told_of(todo, out)
+        return
     console.print(f"{out}: {picture.told()}", highlight=False)
     if out.suffix == ".png":
         console.print(f"white: {picture.white(exposure):.4g} cd m-2", highlight=False)
+
+
+def _told_of(frames, out: Path) -> None:
+    """Of a time-lapse; its contact sheet."""
+    from ..draw import plot_contact_sheet
+    from .printing import console
+
+    first, last = frames[0], frames[-1]
+    console.print(f"{first.path} to {last.path.name}: {first.title} to {last.title}", highlight=False)
+    if out.suffix == ".png":
+        sheet = out.with_suffix(".sheet.png")
+        plot_contact_sheet([frame.path for frame in frames], [frame.title for frame in frames], sheet)
+        console.print(f"written: {sheet}", highlight=False)
 
 
 def _size(text: str) -> tuple[int, int]:

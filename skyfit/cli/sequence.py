@@ -1,0 +1,64 @@
+"""A time-lapse: numbered frames, of which those that are there already stay."""
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..measured import atomic
+from ..measured.readers.header import moment_of
+from .options import in_range
+from .sun import sun_of
+
+
+class Frame(NamedTuple):
+    """A picture to be made: its file, its time as text, and its sun, degrees."""
+
+    path: Path
+    time: str | None
+    zenith: float
+    azimuth: float
+
+    @property
+    def title(self) -> str:
+        """The time and the sun's elevation."""
+        return f"{self.time}  sun {90.0 - self.zenith:+.1f} deg"
+
+
+def frames_of(out: Path, first: str | None, until: str, count: int | None, at: str | None, pressure: float, lowest):
+    """The frames from one time to another, evenly, and the suns that they have; arguments as the options."""
+    if first is None or at is None or count is None:
+        raise ValueError("`--until` must come with `--time`, `--at` and `--frames`")
+    in_range("--frames", count, 2, 10000)
+    try:
+        ends = [moment_of(text.strip()) for text in (first, until)]
+    except ValueError:
+        raise ValueError(f"`--time` and `--until` must be ISO times, got {first!r} and {until!r}") from None
+    if not ends[0] < ends[1]:
+        raise ValueError(f"`--until` must be later than `--time`, got {until} and {first}")
+    share = np.arange(count) / (count - 1)
+    moments = ends[0] + np.round(share * (ends[1] - ends[0]).astype("timedelta64[s]").astype(float)).astype(
+        "timedelta64[s]"
+    )
+    found = []
+    for number, moment in enumerate(moments):
+        time = f"{np.datetime_as_string(moment, 's')}Z"
+        zenith, azimuth, _ = sun_of(None, None, time, at, pressure, lowest)
+        found.append(Frame(out.with_name(f"{out.stem}.{number + 1:04d}{out.suffix}"), time, zenith, azimuth))
+    return found
+
+
+def begin(out: Path, settings: dict) -> None:
+    """Says beside the frames what they are made with, or that they are others.
+
+    **Errors:** `ValueError` where frames of other settings lie there.
+    """
+    path = out.with_suffix(".frames.json")
+    text = json.dumps(settings, indent=1, default=str) + "\n"
+    if path.exists():
+        if path.read_text() != text:
+            raise ValueError(f"{path}: frames of other settings lie there; another `--out`, or remove them first")
+        return
+    with atomic(path) as part:
+        part.write_text(text)
