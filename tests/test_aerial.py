@@ -154,7 +154,7 @@ def test_one_constituent_and_level_views_need_no_pieces(x64):
 
 def test_a_view_down_ends_at_the_ground_and_the_level_one_does_not():
     beta = coefficients(3.0)
-    scene = skyfit.Scene(1.0, 0.0, views([95.0, 90.0], [0.0]), BANDS, np.ones(3))
+    scene = skyfit.Scene(1.0, 0.0, views([95.0, 90.0], [0.0]), BANDS, np.ones(3), 0.0)
     source = jnp.ones((2, 2, 3))
     ground = AerialPerspective().path(air_and_haze(beta), scene, jnp.full(2, jnp.inf), source)
     np.testing.assert_array_equal(ground.transmittance, [[1.0] * 3, [0.0] * 3])
@@ -165,6 +165,23 @@ def test_a_view_down_ends_at_the_ground_and_the_level_one_does_not():
         for d in (1000.0 / np.cos(np.radians(85.0)), 1e6)
     )
     np.testing.assert_allclose(below.inscatter[0], beyond.inscatter[0], rtol=1e-5)
+
+
+def test_a_view_down_from_no_height_is_refused():
+    """Its path would have no length: transmittance 1, whatever the fog."""
+    scene = skyfit.Scene(1.0, 0.0, views([95.0, 90.0], [0.0]), BANDS, np.ones(3))
+    air, far = air_and_haze(coefficients(3.0)), jnp.full(2, 50.0)
+    for call in (
+        lambda: AerialPerspective().path(air, scene, far, jnp.ones((2, 2, 3))),
+        lambda: skyfit.Shells(geometry="flat").path(air, scene, far),
+        lambda: skyfit.SingleScattering().path(air, scene, far),
+        lambda: skyfit.Spherical.draft().path(air, scene, far),
+        lambda: skyfit.Bruneton.draft().path(air, scene, far),
+    ):
+        with pytest.raises(ValueError, match="`height` of the scene must be given for a path below the horizon"):
+            call()
+    # in air that is as dense everywhere it has one
+    assert np.all(skyfit.Uniform().path(air, scene, far).transmittance < 1.0)
 
 
 def test_what_absorbs_only_dims_and_needs_no_source(x64):

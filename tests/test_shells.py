@@ -312,8 +312,9 @@ def test_the_air_before_a_distant_fog_bank_veils_it(x64):
 def test_the_flat_sky_is_the_path_to_beyond_all_layers(x64):
     scene = unit_scene(50.0, views([0.0, 60.0, 88.0, 91.0], [0.0, 120.0]))
     sky = Shells(geometry="flat").radiance(foggy(), scene)
-    path = Shells(geometry="flat").path(foggy(), scene, jnp.full(8, jnp.inf))
-    np.testing.assert_allclose(sky[:6], path.inscatter[:6], rtol=1e-12)
+    above = unit_scene(50.0, views([0.0, 60.0, 88.0], [0.0, 120.0]))
+    path = Shells(geometry="flat").path(foggy(), above, jnp.full(6, jnp.inf))
+    np.testing.assert_allclose(sky[:6], path.inscatter, rtol=1e-12)
     np.testing.assert_array_equal(sky[6:], 0.0)
     expected = [flat_path(50.0, z, a, 0.0, 1e6)[1] for z in (0.0, 60.0, 88.0) for a in (0.0, 120.0)]
     np.testing.assert_allclose(sky[:6, 0], expected, rtol=1e-7)

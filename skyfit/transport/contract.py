@@ -20,6 +20,8 @@ Geometry = Literal["flat", "spherical"]
 # relative model errors by comparison with other solvers: of polarised skies, and of skies without polarisation
 POLARISED_ERROR, SCALAR_ERROR = 0.003, 0.007
 _LAST_DEG = 5.0
+# rad, that a view may be below the level and yet be called level
+LEVEL = 1e-4
 _Method = TypeVar("_Method", bound=Callable)
 
 
@@ -120,6 +122,8 @@ class AbstractSolver(Ranged):
     geometry: eqx.AbstractVar[Geometry]
     # whether skies after sunset are near enough to the sky's own to be inverted
     after_sunset: ClassVar[bool] = False
+    # whether the air is as dense at any height, so that a path is the same from anywhere
+    even_air: ClassVar[bool] = False
 
     @property
     @abstractmethod
@@ -166,6 +170,8 @@ def checked(method: _Method) -> _Method:
         # a path may begin elsewhere
         if distance is None:
             check_observer(solver, scene)
+        elif not solver.even_air:
+            check_eye(scene)
         check_range("distance", distance, 0.0, np.inf, "m")
         return program(solver, atmosphere, scene, *(() if distance is None else (distance,)))
 
@@ -213,6 +219,16 @@ def check_on_ground(scene: Scene, solver: str) -> None:
     """A `ValueError` where the scene has an observer above the ground, for a solver that knows none."""
     if scene.height is not None:
         raise ValueError(f"`height` of the scene must be None for {solver}: it knows the observer on the ground only")
+
+
+def check_eye(scene: Scene) -> None:
+    """A `ValueError` for a path down to the ground from no height, whose length is 0; traced views pass unseen."""
+    zenith = concrete(scene.view.zenith)
+    if scene.height is None and zenith is not None and np.any(zenith > np.pi / 2 + LEVEL):
+        raise ValueError(
+            "`height` of the scene must be given for a path below the horizon (an eye is some 2 m up), got None and a "
+            f"view zenith of {np.degrees(zenith.max()):.4g} degrees"
+        )
 
 
 def check_geometry(geometry: str) -> None:

@@ -1,6 +1,6 @@
 """Constant density: single scattering in closed form, as Hoffman & Preetham have it."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -49,6 +49,7 @@ class Uniform(AbstractSolver):
     """
 
     geometry: Geometry = eqx.field(static=True, default="flat")
+    even_air: ClassVar[bool] = True
 
     def __check_init__(self):
         if self.geometry != "flat":

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from ...atmosphere import AbstractConstituent, Atmosphere, Exponential
 from ...numerics import check_range, exp_mean, phi_functions, Ranged, within
 from ...scene import Scene
-from ..contract import Path
+from ..contract import check_eye, Path
 from ..optics import Optics, optics
 
 
@@ -136,6 +136,7 @@ def constant_ambient(
 
 
 def _check(atmosphere: Atmosphere, scene: Scene, distance) -> None:
+    check_eye(scene)
     check_range("distance", distance, 0.0, np.inf, "m")
     atmosphere.check_wavelengths(scene.wavelength_nm)
 

@@ -9,7 +9,7 @@ from ...atmosphere import Atmosphere
 from ...numerics import check_range, concrete
 from ...scene import Scene
 from ..columns import TOP_OF_AIR
-from ..contract import Irradiances, Path
+from ..contract import check_eye, Irradiances, Path
 from ..optics import optics
 from ..views import points_at, Views, views_of
 from .lookup import irradiance, optical_depth, Rays, scattered, sunlight
@@ -66,6 +66,7 @@ class BrunetonField(eqx.Module):
         **Source:** Bruneton & Neyret 2008, eq. 16 and sec. 4.
         """
         self._check(scene)
+        check_eye(scene)
         check_range("distance", distance, 0.0, np.inf, "m")
         return _path(self, scene, distance)
 

@@ -12,7 +12,7 @@ from ...atmosphere import Atmosphere
 from ...numerics import as_float, check_range, concrete, gauss_legendre, safe_sqrt
 from ...scene import above_horizon, Scene
 from ..columns import EARTH_RADIUS, length_scale
-from ..contract import Irradiances, Path
+from ..contract import check_eye, Irradiances, Path
 from ..optics import optics, scatterer_indices, transmitted_sun
 from ..single import single_scattering_of
 from ..views import end_points, eye_columns, Points, points_at, Views, views_of
@@ -66,6 +66,7 @@ class SphericalField(eqx.Module):
         **Source:** Bruneton & Neyret 2008, sec. 3 (eq. 17, 18), who take the higher orders out of the shade too.
         """
         self._check(scene)
+        check_eye(scene)
         check_range("distance", distance, 0.0, np.inf, "m")
         for k, pair in enumerate(lit or ()):
             for name, end in zip(("begin", "end"), pair, strict=True):

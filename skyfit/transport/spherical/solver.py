@@ -15,6 +15,7 @@ from ...scene import Scene
 from ..columns import EARTH_RADIUS, TOP_OF_AIR
 from ..contract import (
     AbstractSolver,
+    check_eye,
     check_scene,
     Geometry,
     GROUND_TO_SPACE,
@@ -153,6 +154,7 @@ class Spherical(AbstractSolver):
     ) -> Path:
         """The air between the observer and objects at `distance` (m) along each view; `lit` as the field takes it."""
         check_scene(self, atmosphere, scene)
+        check_eye(scene)
         return self._for(atmosphere, scene).path(scene, distance, lit)
 
     def _for(self, atmosphere: Atmosphere, scene: Scene) -> SphericalField:
