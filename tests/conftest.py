@@ -22,8 +22,8 @@ MOST_MAPS = 40_000
 MAPS = Path("/proc/self/maps")
 
 
-# compilation is most of the time of a test: programs that run a few times are not worth optimising
-FLAGS = ["--xla_backend_optimization_level=0"]
+# compilation is most of the time of a test: programs that run a few times are hardly worth optimising
+FLAGS = ["--xla_backend_optimization_level=1"]
 if version("jaxlib") == "0.10.2":
     # as the command line does
     FLAGS.append("--xla_cpu_use_fusion_emitters=false")
@@ -72,7 +72,7 @@ def python(checkout: Path) -> Callable:
         "XDG_CACHE_HOME": os.path.join(os.environ[CACHE], "commands"),
         "PYTHONPATH": str(checkout),
     }
-    place["XLA_FLAGS"] = FLAGS[0]
+    place["XLA_FLAGS"] = "--xla_backend_optimization_level=0"
     environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")} | place
 
     def call(program, *arguments, cwd):

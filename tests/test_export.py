@@ -10,6 +10,7 @@ import pytest
 
 import skyfit
 from skyfit.records import evaluator, write_evaluator
+from skyfit.records.evaluator import digits
 from skyfit.scene import unit_vectors
 
 
@@ -51,27 +52,39 @@ def sun_and_chord(degrees: float) -> tuple[np.ndarray, np.ndarray]:
     return sun, np.sum((views() - sun[:, None]) ** 2, axis=0)
 
 
-def compiled(text: str, folder) -> str:
+def compiled(text: str, folder, driver: str = DRIVER, *words: str) -> str:
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         pytest.skip("no C compiler on this machine")
     (folder / "sky.h").write_text(text)
-    (folder / "main.c").write_text(DRIVER)
-    words = [compiler, "-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "main.c", "-o", "main", "-lm"]
+    (folder / "main.c").write_text(driver)
+    words = (compiler, "-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", *words, "main.c", "-o", "main", "-lm")
     done = subprocess.run(words, cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return str(folder / "main")
 
 
+@pytest.mark.parametrize("precision", ["double", "float"])
 @pytest.mark.parametrize("form", SKIES)
-def test_c_compiles_without_a_warning_and_gives_the_sky(form, tmp_path):
-    program = compiled(evaluator(SKIES[form](), "c"), tmp_path)
+def test_c_compiles_without_a_warning_and_gives_the_sky(form, precision, tmp_path):
+    """In double precision as it stands, and with the arithmetic of a shader."""
+    text, words = evaluator(SKIES[form](), "c"), ()
+    if precision == "float":
+        text, words = text.replace("math.h", "tgmath.h"), ("-fsingle-precision-constant",)
+    program = compiled(text, tmp_path, DRIVER, *words)
     for turbidity, degrees in CASES[form]:
         sun, chord = sun_and_chord(degrees)
         lines = [f"{turbidity} {np.radians(degrees)} {z} {c}" for z, c in zip(views()[2], chord, strict=True)]
         out = subprocess.run([program], input="\n".join(lines), capture_output=True, text=True, check=True).stdout
         got, wanted = np.array(out.split(), float).reshape(-1, 3).T, expected(form, turbidity, sun)
         np.testing.assert_allclose(got, wanted, atol=1e-4 * np.abs(wanted).max())
+
+
+def test_numbers_keep_their_digits_once_colour_is_loaded():
+    """It has numpy print as in 2017."""
+    import colour
+
+    assert colour.__name__ and digits(np.float32(2.135593)) == "2.135593" and digits(np.float32(1.0)) == "1.0"
 
 
 @pytest.mark.parametrize("form", SKIES)
@@ -94,8 +107,8 @@ def test_python_needs_numpy_alone_and_gives_the_sky(form):
 @pytest.mark.parametrize("form", SKIES)
 def test_shaders_are_the_same_program_as_c(form, to):
     sky = SKIES[form]()
-    c = evaluator(sky, "c").replace("#include <math.h>\n\n", "").replace("static inline ", "")
-    text = evaluator(sky, to)
+    c = evaluator(sky, "c").replace("#pragma once\n#include <math.h>\n\n", "").replace("static inline ", "")
+    text = re.sub(r"// OpenGL ES: .*\n", "", evaluator(sky, to))
     plain = re.sub(r"const float (\w+)\[(\d+)\] = float\[\2\]\(([^)]*)\)", r"static const float \1[\2] = {\3}", text)
     assert plain.replace("out float ", "float ") == c
     # what GLSL does not have: functions of C's library, suffixes of numbers, integers where floats stand
@@ -161,6 +174,43 @@ def test_one_sky_is_eighteen_numbers_and_the_value_in_the_file_is_right(form):
         np.testing.assert_allclose(got, [float(word) for word in tested[3].split(", ")], rtol=1e-4)
 
 
+def test_one_sky_in_c_takes_its_own_numbers(tmp_path):
+    text = evaluator(skyfit.ExtendedPreetham.shipped(), "c", turbidity=2.5, sun_zenith=1.0)
+    tested = re.search(r"cos_theta (\S+), chord (\S+) is\n// (.*)$", text)
+    assert tested is not None
+    call = f"skyfit_rgb(SKYFIT_FRAME, {tested[1]}, {tested[2]}, rgb)"
+    driver = f"""
+#include <stdio.h>
+#include "sky.h"
+
+int main(void) {{
+  float rgb[3];
+  {call};
+  printf("%.9g, %.9g, %.9g", rgb[0], rgb[1], rgb[2]);
+  return 0;
+}}
+"""
+    out = subprocess.run([compiled(text, tmp_path, driver)], capture_output=True, text=True, check=True).stdout
+    got, wanted = ([float(word) for word in words.split(", ")] for words in (out, tested[3]))
+    np.testing.assert_allclose(got, wanted, rtol=1e-5)
+
+
+def test_the_value_to_test_lies_within_the_range_of_a_narrow_fit():
+    whole = skyfit.Preetham.published()
+    narrow = skyfit.Preetham(
+        whole.distribution, whole.zenith_luminance, whole.zenith_chromaticity, lowest_turbidity=4.0,
+        fitted_turbidity=(4.0, 6.0), lowest_sun=float(np.radians(40.0)),
+    )  # fmt: skip
+    made: dict = {}
+    text = evaluator(narrow, "python")
+    exec(text, made)
+    tested = re.search(r"turbidity (\S+), sun_zenith (\S+), cos_theta (\S+), chord (\S+) is\n# (.*)$", text)
+    assert tested is not None and float(tested[1]) == 4.0
+    frame = made["skyfit_frame"](float(tested[1]), float(tested[2]))
+    got = made["skyfit_rgb"](frame, float(tested[3]), float(tested[4]))
+    np.testing.assert_allclose(got, [float(word) for word in tested[5].split(", ")], rtol=1e-4)
+
+
 def test_what_has_no_evaluator_is_refused(tmp_path):
     sky = skyfit.ExtendedPreetham.shipped()
     for change, part in (
@@ -185,6 +235,7 @@ def test_the_command_writes_a_refitted_sky(skyfit_command, tmp_path):
         (("export", "nothing.json", "--to", "c", "--out", "x.h"), "nothing.json"),
         (("export", "extended", "--to", "c", "--out", "x.h", "--turbidity", 3), "together"),
         (("export", "extended", "--to", "c", "--out", "no/x.h"), "--out"),
+        (("export", "published", "--to", "c", "--out", "x.h", "--turbidity", 3, "--sun-zenith", 95), "0 and 90"),
     ):
         refused = skyfit_command(*words, cwd=tmp_path, check=False)
         assert refused.returncode == 2 and part in refused.stderr

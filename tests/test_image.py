@@ -9,6 +9,7 @@ import PIL.Image
 import pytest
 
 import skyfit
+from skyfit.draw import plot_contact_sheet
 from skyfit.image.disc import add_disc, RADIUS
 from skyfit.image.files import aces
 from skyfit.image.render import SPECTRUM
@@ -328,6 +329,22 @@ def test_what_cannot_be_rendered_is_refused(change, said):
         skyfit.Camera(width=0)
     with pytest.raises(ValueError, match="6 times"):
         skyfit.Camera("cube", 100, 50)
+    with pytest.raises(ValueError, match="`mirrored` must be left out"):
+        skyfit.Camera(mirrored=True)
+
+
+def test_a_sheet_of_many_pictures_has_an_even_choice(image, tmp_path):
+    image.save(tmp_path / "a.png")
+    pictures, titles = [tmp_path / "a.png"] * 100, [f"number {k}" for k in range(100)]
+    plot_contact_sheet(pictures, titles, tmp_path / "sheet.png")
+    # 48 of 64 x 32 pixels in rows of five
+    with PIL.Image.open(tmp_path / "sheet.png") as sheet:
+        width, height = sheet.size
+    assert width == 1650 and 1500 < height < 2400
+    for wrong in (([], []), (pictures, titles[1:])):
+        with pytest.raises(ValueError, match="`pictures` must be one or more"):
+            plot_contact_sheet(*wrong, tmp_path / "other.png")
+    assert not (tmp_path / "other.png").exists()
 
 
 def test_the_command_writes_a_picture_and_a_lamp(skyfit_command, tmp_path):
@@ -350,6 +367,9 @@ def test_the_command_writes_a_picture_and_a_lamp(skyfit_command, tmp_path):
     (
         (("--sun-zenith", 60, "--solver", "mine"), "`--solver` must be one of"),
         (("--sun-zenith", 60, "--size", "64"), "`--size` must be WxH"),
+        (("--sun-zenith", 60, "--frames", 3), "`--frames` must come with `--until`"),
+        (("--sun-zenith", 60, "--half"), "`space` and `half` are of an .exr"),
+        (("--sun-zenith", 91, "--solver", "published"), "`--sun-zenith` must be between 0 and 90"),
         (("--sun-zenith", 120), "`--sun-zenith` must be between 0 and 108"),
         (("--sun-zenith", 60, "--solver", "extended", "--atmosphere", "a.toml"), "`--atmosphere` must be left out"),
     ),
@@ -366,7 +386,7 @@ def test_a_time_lapse_goes_on_where_it_ended(skyfit_command, tmp_path):
         "--solver", "extended", "--size", "32x16",
     )  # fmt: skip
     done = skyfit_command(*words, "--frames", 3, cwd=tmp_path)
-    names = ["day.0001.png", "day.0002.png", "day.0003.png", "day.frames.json", "day.sheet.png"]
+    names = ["day.0001.png", "day.0002.png", "day.0003.png", "day.png.frames.json", "day.sheet.png"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names and "16:00:00Z" in done.stdout
     kept = tmp_path / "day.0001.png"
     before, frame = kept.stat().st_mtime_ns, (tmp_path / "day.0002.png").read_bytes()
@@ -383,6 +403,7 @@ def test_a_time_lapse_goes_on_where_it_ended(skyfit_command, tmp_path):
         (),
         ("--frames", 3, "--until", "2026-06-21T15:00Z"),
         ("--frames", 3, "--until", "x"),
+        ("--frames", 3, "--sun-zenith", 60),
     ):
         refused = skyfit_command(*words, *wrong, cwd=tmp_path, check=False)
         assert refused.returncode == 2 and len(refused.stderr.strip().splitlines()) == 1

@@ -133,6 +133,12 @@ def test_coefficients_survive_their_file(refitted, tmp_path):
         for kind in ("luminance_error", "luminance_95", "chromaticity_error"):
             got = np.array(fitted[kind][name], float)
             np.testing.assert_allclose(got, getattr(result.fitted, kind)[name], rtol=1e-3)
+    # in as few digits as bring them back
+    assert len(str(record["refitted"]["distribution"][0][0][0])) < 14
+    # files of the version before are read too: what is read has not changed
+    (tmp_path / "older.json").write_text(json.dumps(record | {"version": 2}))
+    np.testing.assert_array_equal(read_coefficients(tmp_path / "older.json").distribution, again.distribution)
+    (tmp_path / "older.json").unlink()
     # what the numbers are, in a file that is read by people too
     assert set(record["axes"]) == set(record["refitted"]) and "cos theta" in record["formula"]["light"]
     assert (tmp_path / "coefficients.json").stat().st_size < 20_000
@@ -150,7 +156,7 @@ def test_coefficients_survive_their_file(refitted, tmp_path):
         (lambda r: r.update(valid={"turbidity": [2.0]}), "coefficients"),
         (lambda r: r["valid"].update(sun_zenith_deg=[0.0]), "coefficients"),
         (lambda r: r.update(valid=None), "coefficients"),
-        (lambda r: r.update(version=1), "version 3"),
+        (lambda r: r.update(version=1), "version 3, found skyfit.coefficients 1"),
         (lambda r: r.update(schema="skyfit.fit"), "skyfit.coefficients"),
         (lambda r: r["refitted"]["distribution"][0][0].__setitem__(0, None), "coefficients"),
     ],

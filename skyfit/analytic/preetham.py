@@ -60,6 +60,11 @@ class Preetham(AbstractAnalyticSky):
             jnp.asarray(np.moveaxis(np.array(polynomial), 1, 2)),
         )
 
+    @property
+    def fitted_sun(self) -> tuple[float, float]:
+        """The range of the sun's zenith angle, rad."""
+        return 0.0, self.lowest_sun
+
     def perez(self, turbidity: Float[ArrayLike, ""], theta_sun: Float[ArrayLike, ""]) -> tuple[Perez, Perez, Perez]:
         """The distributions of luminance Y and of chromaticity x and y, the same for every sun.
 

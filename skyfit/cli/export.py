@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .options import app
+from .options import app, check_file, in_range
 
 
 class LanguageName(StrEnum):
@@ -35,8 +35,7 @@ def export(
 
     The file says what its functions take, and holds one value to test them by.
     """
-    if not out.absolute().parent.is_dir() or out.is_dir():
-        raise ValueError(f"`--out` must be a file in a folder that is there, got {out}")
+    check_file(out)
     if (turbidity is None) != (sun_zenith is None):
         raise ValueError("`--turbidity` and `--sun-zenith` must be given together, of one sky, or left out")
     import math
@@ -44,13 +43,14 @@ def export(
     import jax
 
     from ..records import write_evaluator
-    from .models import analytic_of, FORMULAS
+    from .models import analytic_of
     from .printing import console
 
-    if sky not in FORMULAS and not Path(sky).is_file():
-        raise ValueError(f"the sky must be one of {', '.join(FORMULAS)} or a coefficients.json, got {sky!r}")
     # shaders compute in float32
     context.with_resource(jax.enable_x64(False))
-    down = None if sun_zenith is None else math.radians(sun_zenith)
-    write_evaluator(analytic_of(sky), out, to.value, turbidity=turbidity, sun_zenith=down)
+    model, down = analytic_of(sky), None
+    if sun_zenith is not None:
+        highest, lowest = map(math.degrees, model.fitted_sun)
+        down = math.radians(in_range("--sun-zenith", sun_zenith, highest, lowest))
+    write_evaluator(model, out, to.value, turbidity=turbidity, sun_zenith=down)
     console.print(f"{out}: {len(out.read_text().splitlines())} lines of {to.value}", highlight=False)

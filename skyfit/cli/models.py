@@ -42,11 +42,16 @@ def make_solver(name: str, preset: PresetName, geometry: GeometryName, polarised
 FORMULAS = ("extended", "published")
 
 
-def analytic_of(name: str):
-    """The analytic sky of a name among `FORMULAS`, or of a file of coefficients; loaded by who asks for one."""
+def analytic_of(name: str, said: str = "the sky must be one of"):
+    """The analytic sky of a name among `FORMULAS`, or of a file of coefficients; loaded by who asks for one.
+
+    **Errors:** `ValueError` that begins as `said`.
+    """
     from ..analytic import ExtendedPreetham, Preetham
     from ..records import read_coefficients
 
+    if name not in FORMULAS and not Path(name).is_file():
+        raise ValueError(f"{said} {', '.join(FORMULAS)} or a coefficients.json, got {name!r}")
     known = {"extended": ExtendedPreetham.shipped, "published": Preetham.published}
     return known[name]() if name in FORMULAS else read_coefficients(name)
 

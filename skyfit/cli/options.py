@@ -72,6 +72,12 @@ def in_range(name: str, value: float, low: float, high: float) -> float:
     return value
 
 
+def check_file(path: Path) -> None:
+    """Before the work: whether a file can lie there."""
+    if not path.absolute().parent.is_dir() or path.is_dir():
+        raise ValueError(f"`--out` must be a file in a folder that is there, got {path}")
+
+
 def check_folder(path: Path) -> None:
     """Before the work: whether the folder is there or can be made; it is made when there is something to write."""
     nearest = next(place for place in (path, *path.absolute().parents) if place.exists())

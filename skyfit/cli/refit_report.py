@@ -47,7 +47,13 @@ def print_refit(result: Refit) -> None:
     console.print("best five: Perez' formula fitted to each sky alone, what it can do at all", highlight=False)
     for quantity, word in result.result.items():
         if word != "successful":
-            notices.print(f"skyfit: the joint fit of {quantity} did not end: {word}", style="red", highlight=False)
+            notices.print(
+                f"skyfit: the joint fit of {quantity} did not end: {word}",
+                style="red",
+                highlight=False,
+                markup=False,
+                soft_wrap=True,
+            )
 
 
 def _table_rows(skies: Comparison):

@@ -7,7 +7,18 @@ from typing import Annotated
 import typer
 
 from .known import SEA_LEVEL_PRESSURE
-from .options import app, GeometryName, GroundAlbedo, in_range, Place, PresetName, PresetOption, SunAzimuth, SunZenith
+from .options import (
+    app,
+    check_file,
+    GeometryName,
+    GroundAlbedo,
+    in_range,
+    Place,
+    PresetName,
+    PresetOption,
+    SunAzimuth,
+    SunZenith,
+)
 
 
 class ProjectionName(StrEnum):
@@ -87,7 +98,10 @@ def render(
         typer.Option(metavar="WxH", help="pixels  [default: by the projection]", show_default=False),
     ] = None,
     azimuth: Annotated[
-        float | None, typer.Option(help="degrees, of the middle column  [default: the sun's]", show_default=False)
+        float | None,
+        typer.Option(
+            help="degrees, of the middle column, of a cube the face ahead  [default: the sun's]", show_default=False
+        ),
     ] = None,
     elevation: Annotated[float, typer.Option(help="degrees, of the middle, perspective")] = 20.0,
     field_of_view: Annotated[
@@ -115,23 +129,25 @@ def render(
 
     An .exr holds cd/m2, and which way it is up in its comments.
     """
+    import math
+
     import jax
     import numpy as np
 
-    from ..analytic.extended import SUN_ZENITH_RANGE_DEG
     from ..atmosphere import Atmosphere, Ground
     from ..image import Camera
-    from ..image.render import render as rendered
+    from ..image.picture import check_saving
+    from ..image.render import check_eye, render as rendered
     from ..transport import SOLVERS
-    from .models import analytic_of, atmosphere_of, FORMULAS, make_solver
+    from .models import analytic_of, atmosphere_of, make_solver
     from .printing import console, progress
     from .sequence import begin, Frame, frames_of
     from .sun import sun_of
 
     # a picture needs no more than float32
     context.with_resource(jax.enable_x64(False))
-    if out.suffix not in (".exr", ".hdr", ".png") or not out.absolute().parent.is_dir():
-        raise ValueError(f"`--out` must be a .exr, .hdr or .png file in a folder that is there, got {out}")
+    check_file(out)
+    check_saving(out, exposure, white_balance, space.value, half)
     in_range("--ground-albedo", ground_albedo, 0.0, 1.0)
     if atmosphere is not None and turbidity is not None:
         raise ValueError("`--turbidity` must be left out with `--atmosphere`, whose file holds the haze")
@@ -139,6 +155,7 @@ def render(
     asked: dict = {}
     if solver in SOLVERS:
         chosen = make_solver(solver, preset, GeometryName.flat if solver == "uniform" else GeometryName.spherical)
+        check_eye(height, chosen)
         lowest, asked = chosen.suns.largest_deg, {"solver": chosen, "height": height}
         sky = (
             atmosphere_of(atmosphere)
@@ -150,16 +167,18 @@ def render(
             raise ValueError(
                 f"`--atmosphere` must be left out with `--solver {solver}`: it is that of the formula's fit"
             )
-        if solver not in FORMULAS and not Path(solver).is_file():
-            raise ValueError(
-                f"`--solver` must be one of {', '.join((*SOLVERS, *FORMULAS))} or a coefficients.json, got {solver!r}"
-            )
-        sky = analytic_of(solver)
-        lowest, asked = SUN_ZENITH_RANGE_DEG[1], {"turbidity": haze, "ground_albedo": ground_albedo}
+        sky = analytic_of(solver, f"`--solver` must be one of {', '.join(SOLVERS)}")
+        check_eye(height, sky)
+        sky.check_range(haze, sky.fitted_sun[0])
+        lowest, asked = math.degrees(sky.fitted_sun[1]), {"turbidity": haze, "ground_albedo": ground_albedo}
     if until is None:
+        if frames is not None:
+            raise ValueError("`--frames` must come with `--until`")
         zenith, around, _ = sun_of(sun_zenith, sun_azimuth, time, at, SEA_LEVEL_PRESSURE, lowest)
         todo = [Frame(out, time, zenith, around)]
     else:
+        if sun_zenith is not None or sun_azimuth is not None:
+            raise ValueError("`--until` must come with `--time`, `--at` and `--frames`, without an angle of the sun")
         todo = frames_of(out, time, until, frames, at, SEA_LEVEL_PRESSURE, lowest)
         around = todo[len(todo) // 2].azimuth
     width, rows = _SIZES[projection] if size is None else _size(size)
@@ -169,7 +188,7 @@ def render(
         float(np.radians(elevation)), view, mirror,
     )  # fmt: skip
     if until is not None:
-        begin(out, {name: value for name, value in context.params.items() if name != "out"})
+        begin(out, todo, {name: value for name, value in context.params.items() if name != "out"})
     with progress("rendering") as report:
         for number, frame in enumerate(todo):
             report(number, len(todo))

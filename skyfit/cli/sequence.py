@@ -1,6 +1,8 @@
 """A time-lapse: numbered frames, of which those that are there already stay."""
 
+import hashlib
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,6 +10,7 @@ import numpy as np
 
 from ..measured import atomic
 from ..measured.readers.header import moment_of
+from ..measured.writing import skyfit_version
 from .options import in_range
 from .sun import sun_of
 
@@ -26,7 +29,9 @@ class Frame(NamedTuple):
         return f"{self.time}  sun {90.0 - self.zenith:+.1f} deg"
 
 
-def frames_of(out: Path, first: str | None, until: str, count: int | None, at: str | None, pressure: float, lowest):
+def frames_of(
+    out: Path, first: str | None, until: str, count: int | None, at: str | None, pressure: float, lowest: float
+) -> list[Frame]:
     """The frames from one time to another, evenly, and the suns that they have; arguments as the options."""
     if first is None or at is None or count is None:
         raise ValueError("`--until` must come with `--time`, `--at` and `--frames`")
@@ -44,21 +49,28 @@ def frames_of(out: Path, first: str | None, until: str, count: int | None, at: s
     found = []
     for number, moment in enumerate(moments):
         time = f"{np.datetime_as_string(moment, 's')}Z"
-        zenith, azimuth, _ = sun_of(None, None, time, at, pressure, lowest)
+        try:
+            zenith, azimuth, _ = sun_of(None, None, time, at, pressure, lowest)
+        except ValueError as error:
+            raise ValueError(f"frame {number + 1}, {time}: {error}") from None
         found.append(Frame(out.with_name(f"{out.stem}.{number + 1:04d}{out.suffix}"), time, zenith, azimuth))
     return found
 
 
-def begin(out: Path, settings: dict) -> None:
-    """Says beside the frames what they are made with, or that they are others.
+def begin(out: Path, frames: Sequence[Frame], settings: Mapping[str, object]) -> None:
+    """Says beside the frames what they are made with, or that those that are there are others.
 
-    **Errors:** `ValueError` where frames of other settings lie there.
+    **Errors:** `ValueError` where frames of other settings lie, or of settings that nothing tells.
     """
-    path = out.with_suffix(".frames.json")
-    text = json.dumps(settings, indent=1, default=str) + "\n"
-    if path.exists():
-        if path.read_text() != text:
-            raise ValueError(f"{path}: frames of other settings lie there; another `--out`, or remove them first")
-        return
-    with atomic(path) as part:
-        part.write_text(text)
+    path = out.with_name(f"{out.name}.frames.json")
+    # a file that an option names may be another by the next call
+    files = {name: value for name, value in settings.items() if isinstance(value, str | Path) and Path(value).is_file()}
+    contents = {name: hashlib.sha256(Path(value).read_bytes()).hexdigest() for name, value in files.items()}
+    record = {"skyfit_version": skyfit_version(), "options": dict(settings), "sha256": contents}
+    text = json.dumps(record, indent=1, default=str) + "\n"
+    known = path.read_text() if path.is_file() else None
+    if known != text and any(frame.path.exists() for frame in frames):
+        raise ValueError(f"{path}: frames of other settings lie there; another `--out`, or remove them first")
+    if known != text:
+        with atomic(path) as part:
+            part.write_text(text)

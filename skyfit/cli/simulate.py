@@ -1,5 +1,6 @@
 """`skyfit simulate`."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -167,8 +168,8 @@ def _refuse(context: typer.Context, options: tuple[str, ...], beside: str) -> No
 
 def _analytic_sky(context: typer.Context, name: str):
     """The analytic sky of a name or a file, and the lowest sun that it takes, degrees; refuses what it holds itself."""
-    from ..analytic.extended import SUN_ZENITH_RANGE_DEG
     from .models import analytic_of
 
     _refuse(context, _OF_SIMULATIONS, "`--coefficients`, whose atmosphere is that of their fit")
-    return analytic_of(name), SUN_ZENITH_RANGE_DEG[1]
+    sky = analytic_of(name, "`--coefficients` must be one of")
+    return sky, math.degrees(sky.fitted_sun[1])

@@ -9,26 +9,39 @@ from .page import figure_maker, write_figure
 
 
 _ACROSS = 11.0  # inches
+# a page has no more pictures, of more an even choice, and no more in a row, or their titles would meet
+_MOST, _MOST_ACROSS = 48, 5
+# pixels of a picture that are drawn from left to right
+_PIXELS = 512
 
 
 def plot_contact_sheet(pictures: Sequence[str | os.PathLike], titles: Sequence[str], path: str | os.PathLike) -> None:
     """PNG files of one size side by side, in rows, each with its title.
 
     **Arguments:** `pictures`, at least one, and as many `titles`; `path`, `*.png`, `*.pdf` or `*.svg`.
+    **Valid:** of more than 48 an even choice is drawn. **Errors:** `ValueError` for none, and for fewer or more titles.
     """
     from matplotlib.image import imread
 
-    images = [imread(os.fspath(picture)) for picture in pictures]
+    if not pictures or len(pictures) != len(titles):
+        raise ValueError(f"`pictures` must be one or more, with as many titles, got {len(pictures)} and {len(titles)}")
+    chosen = np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), _MOST)).round().astype(int))
+    images = []
+    for picture in (os.fspath(pictures[k]) for k in chosen):
+        image = imread(picture)
+        step = -(-image.shape[1] // _PIXELS)
+        images.append(image[::step, ::step].copy())
     height, width = images[0].shape[:2]
     # about as wide as high, by the shape of the pictures
-    columns = max(1, min(len(images), round(np.sqrt(len(images) * 1.5 * height / width))))
+    columns = max(1, min(len(images), _MOST_ACROSS, round(np.sqrt(len(images) * 1.5 * height / width))))
     rows = -(-len(images) // columns)
     each = _ACROSS / columns
     figure = figure_maker(path)((_ACROSS, rows * (each * height / width + 0.25)))
-    for axis in (axes := figure.subplots(rows, columns, squeeze=False).ravel()):
+    places = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axis in places:
         axis.axis("off")
-    for axis, image, title in zip(axes, images, titles, strict=False):
+    for axis, image, k in zip(places, images, chosen, strict=False):
         axis.imshow(image)
-        axis.set_title(title, fontsize=7, pad=2.0)
+        axis.set_title(titles[k], fontsize=7, pad=2.0)
     figure.subplots_adjust(left=0.005, right=0.995, bottom=0.005, top=1.0 - 0.22 / figure.get_figheight(), wspace=0.03)
     write_figure(figure, path)

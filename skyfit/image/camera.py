@@ -11,7 +11,7 @@ from ..numerics import check_range
 
 Projection = Literal["equirect", "fisheye", "cube", "perspective"]
 # pixels on a side
-_LARGEST = 16384.0
+_LARGEST = 32768.0
 # right, up and ahead of each face of a cube, on the axes right, up and ahead of who looks at its fifth
 _FACES = np.array([
     [[0, 0, -1], [0, 1, 0], [1, 0, 0]], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
@@ -31,8 +31,8 @@ class Camera:
       left, up, down, ahead and behind of who looks toward `azimuth`.
     - "perspective": a pinhole that spans `field_of_view` from left to right.
 
-    `azimuth`, clockwise from north, of the middle column; `elevation` of the middle of a perspective picture;
-    `field_of_view`, by default pi of a fisheye and 70 degrees of a pinhole: radians, all of them.
+    `azimuth`, clockwise from north, of the middle column, or of a cube's face ahead; `elevation` of the middle of a
+    perspective picture; `field_of_view`, by default pi of a fisheye and 70 degrees of a pinhole: radians, all of them.
     **Errors:** `ValueError` for what is out of range.
     """
 
@@ -51,6 +51,8 @@ class Camera:
             check_range(name, getattr(self, name), 1.0, _LARGEST, "pixels")
         if self.projection == "cube" and self.width != 6 * self.height:
             raise ValueError(f"`width` of a cube must be 6 times `height`, got {self.width} and {self.height}")
+        if self.mirrored and self.projection in ("equirect", "cube"):
+            raise ValueError(f'`mirrored` must be left out with "{self.projection}": its pixels look as it is defined')
         check_range("azimuth", self.azimuth, -4.0 * np.pi, 4.0 * np.pi, "rad")
         check_range("elevation", self.elevation, -0.5 * np.pi, 0.5 * np.pi, "rad")
         pinhole = self.projection == "perspective"

@@ -25,6 +25,8 @@ _NAMES = {"srgb": "sRGB", "rec2020": "ITU-R BT.2020", "acescg": "ACEScg"}
 _WHITE, _POWER = 8.0, 0.93
 # white at exposure value 0 and ISO 100, cd m^-2: Lagarde & de Rousiers 2014, Moving Frostbite to PBR, sec. 5.1.2
 _WHITE_AT_EV_0 = 1.2
+# exposure values, and K
+_EXPOSURES, _DAYLIGHTS = (-20.0, 30.0), (4000.0, 25000.0)
 # of "filmic": how fast its shoulder rises, and how fast colours pale beyond white
 _SHOULDER, _PALER = 1.6, 0.1
 # of half precision
@@ -68,7 +70,7 @@ class Image:
         The mean is over the sphere that is seen, without what is brighter than a thousand times the median: the sun.
         """
         if exposure is not None:
-            check_range("exposure", exposure, -20.0, 30.0)
+            check_range("exposure", exposure, *_EXPOSURES)
             return _WHITE_AT_EV_0 * 2.0**exposure
         row, column = np.mgrid[: self.camera.height, : self.camera.width].astype(np.float32)
         luminance = self.xyz[..., 1]
@@ -82,7 +84,7 @@ class Image:
         white_balance: float | None = None,
         tone: Tone = "filmic",
     ) -> Float[np.ndarray, "row column 3"]:
-        """Encoded sRGB from 0 to 1: of what `white` makes white.
+        """Encoded sRGB from 0 to 1, exposed so that `white` is 1 before the curve of `tone`.
 
         **Arguments:** `exposure` as `white`; `white_balance` as `rgb`; `tone`: "filmic", whose shoulder is the same for
         the three channels, so that colours stay, and what is far brighter than white turns white; "aces", the output
@@ -119,6 +121,7 @@ class Image:
         **Errors:** `ValueError` for another suffix, a `space` or `half` precision that an `.hdr` does not know.
         """
         path = Path(path)
+        check_saving(path, exposure, white_balance, space, half)
         if path.suffix == ".png":
             pixels = np.round(255.0 * self.developed(exposure, white_balance, tone)).astype(np.uint8)
             write_picture(path, pixels, "uint8", {"ImageDescription": self.told()})
@@ -132,13 +135,9 @@ class Image:
             write_picture(
                 path, (rgb / scale).astype(np.float16 if half else np.float32), "half" if half else "float", about
             )
-        elif path.suffix == ".hdr":
-            if space != "srgb" or half:
-                raise ValueError("`space` and `half` are of an .exr: an .hdr is linear sRGB of its own precision")
+        else:
             rgb = np.maximum(self.rgb("srgb", white_balance), 0.0).astype(np.float32)
             write_picture(path, rgb, "float", {"ImageDescription": self.told()})
-        else:
-            raise ValueError(f"`path` must end in .exr, .hdr or .png, got {path}")
 
     def told(self) -> str:
         """Which way the picture is up, and of what sun it is, in words."""
@@ -171,6 +170,22 @@ class Image:
             part.write_text(json.dumps(record, indent=2) + "\n")
 
 
+def check_saving(
+    path: Path,
+    exposure: float | None = None,
+    white_balance: float | None = None,
+    space: Space = "srgb",
+    half: bool = False,
+) -> None:
+    """A `ValueError` for what `Image.save` cannot do with a path of this suffix; arguments as it has them."""
+    if path.suffix not in (".exr", ".hdr", ".png"):
+        raise ValueError(f"`path` must end in .exr, .hdr or .png, got {path}")
+    if path.suffix != ".exr" and (space != "srgb" or half):
+        raise ValueError(f"`space` and `half` are of an .exr, got them for {path}")
+    check_range("exposure", exposure, *_EXPOSURES)
+    check_range("white_balance", white_balance, *_DAYLIGHTS, "K")
+
+
 def _degrees(angle: float) -> str:
     return f"{np.degrees(angle):.4g} degrees"
 
@@ -180,7 +195,7 @@ def _matrix(space: str, white_balance: float | None) -> Float[np.ndarray, "3 3"]
     """Linear red, green, blue from X, Y, Z, both in cd m^-2."""
     if space not in (*_NAMES, "xyz"):
         raise ValueError(f"`space` must be one of {', '.join(_NAMES)}, xyz, got {space!r}")
-    check_range("white_balance", white_balance, 4000.0, 25000.0, "K")
+    check_range("white_balance", white_balance, *_DAYLIGHTS, "K")
     from colour import CCS_ILLUMINANTS, RGB_COLOURSPACES, xy_to_XYZ
     from colour.adaptation import matrix_chromatic_adaptation_VonKries
     from colour.temperature import CCT_to_xy_CIE_D

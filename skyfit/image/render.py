@@ -63,14 +63,13 @@ def render(
             raise ValueError("`turbidity` must be left out with an atmosphere, whose haze is its own")
         solver = Spherical.normal() if solver is None else solver
         made_by = type(solver).__name__
-        if not isinstance(solver, Spherical):
-            _check_eye(height, made_by)
+        check_eye(height, solver)
         pixels, beam, horizon = _of_solver(solver, sky, sun_zenith, sun_azimuth, height)
     else:
         if turbidity is None or solver is not None:
             raise ValueError("an analytic sky must come with `turbidity`, and without `solver`")
         made_by, horizon = type(sky).__name__, 0.5 * np.pi
-        _check_eye(height, made_by)
+        check_eye(height, sky)
         pixels, beam = _of_formula(sky, turbidity, sun_zenith, sun_azimuth, ground_albedo)
     rows = max(_PIXELS // camera.width, 1)
     picture = np.empty((camera.height, camera.width, 3), np.float32)
@@ -86,9 +85,11 @@ def render(
     )
 
 
-def _check_eye(height: float, made_by: str) -> None:
-    if height != EYE:
-        raise ValueError(f"`height` must be left at {EYE:g} m with {made_by}: Spherical alone knows other heights here")
+def check_eye(height: float, asked: AbstractSolver | AbstractAnalyticSky) -> None:
+    """A `ValueError` for another height than an eye's, other than with `Spherical`."""
+    if height != EYE and not isinstance(asked, Spherical):
+        name = type(asked).__name__
+        raise ValueError(f"`height` must be left at {EYE:g} m with {name}: Spherical alone knows other heights here")
 
 
 def _sunlight():

@@ -9,12 +9,8 @@ from jaxtyping import Array, ArrayLike, Float, Real
 
 # SI 2019: luminous efficacy of 540 THz radiation
 LUMINOUS_EFFICACY = 683.0  # lm W^-1
-# integral of y of the CIE 1931 observer, 360-830 nm, 1 nm as in `_observer`; those of x and z differ by 8e-5, 3e-4
-_OBSERVER_AREA = 106.856915  # nm
 
 # IEC 61966-2-1:1999, linear sRGB from XYZ with Y = 1 for white
-# D65, the white of sRGB and of grey skies
-WHITE = (0.3127, 0.3290)
 SRGB_FROM_XYZ = np.array(
     [
         [3.2406, -1.5372, -0.4986],
@@ -22,6 +18,8 @@ SRGB_FROM_XYZ = np.array(
         [0.0557, -0.2040, 1.0570],
     ]
 )
+# D65, the white of sRGB and of grey skies
+WHITE = (0.3127, 0.3290)
 SMALLEST_Y = 1e-6  # of a chromaticity that is divided by
 _SRGB_LINEAR_END = 0.0031308  # the same standard: below, the transfer function is a line
 

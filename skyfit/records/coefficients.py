@@ -25,6 +25,7 @@ from ..analytic.extended import CORNER, LOWEST_TERM
 from ..analytic.perez import LARGEST_EXPONENT, LOWEST_COSINE
 from ..measured import atomic
 from ..numerics import as_float
+from .evaluator import digits
 
 
 _SCHEMA, _VERSION = "skyfit.coefficients", 3
@@ -103,8 +104,12 @@ def read_coefficients(path) -> Preetham | ExtendedPreetham:
         record = json.loads(path.read_text())
     except (OSError, ValueError) as error:
         raise ValueError(f"{path.name}: expected a JSON file of coefficients, found {error}") from None
-    if not isinstance(record, dict) or record.get("schema") != _SCHEMA or record.get("version") != _VERSION:
-        raise ValueError(f'{path.name}: expected the schema "{_SCHEMA}" version {_VERSION}')
+    found = (record.get("schema"), record.get("version")) if isinstance(record, dict) else (None, None)
+    # what is read of it has not changed since version 2
+    if found not in ((_SCHEMA, 2), (_SCHEMA, _VERSION)):
+        raise ValueError(
+            f'{path.name}: expected the schema "{_SCHEMA}" version {_VERSION}, found {found[0]} {found[1]}'
+        )
     form = record.get("form")
     if form not in ("linear", "extended"):
         raise ValueError(f'{path.name}: `form` must be "linear" or "extended", found {form!r}')
@@ -164,6 +169,4 @@ def _number(value) -> float | None:
 def _as_lists(model, shapes) -> dict:
     """Numbers in as few digits as bring them back."""
     arrays = {name: np.asarray(getattr(model, name)) for name in shapes}
-    return {
-        name: np.vectorize(lambda v: float(str(v)), otypes=[float])(array).tolist() for name, array in arrays.items()
-    }
+    return {n: np.array([float(digits(v)) for v in a.ravel()]).reshape(a.shape).tolist() for n, a in arrays.items()}

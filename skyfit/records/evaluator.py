@@ -42,7 +42,12 @@ _DIALECTS = {
     "glsl": _Dialect("//", "", "const float @name@[@count@] = float[@count@](", ");", "", "out float"),
     "hlsl": _Dialect("//", "", "static const float @name@[@count@] = {", "};", "", "out float"),
     "c": _Dialect(
-        "//", "#include <math.h>\n", "static const float @name@[@count@] = {", "};", "static inline ", "float"
+        "//",
+        "#pragma once\n#include <math.h>\n",
+        "static const float @name@[@count@] = {",
+        "};",
+        "static inline ",
+        "float",
     ),
     "python": _Dialect("#", "import numpy as np\n", "@name@ = np.array([", "])", "", ""),
 }
@@ -62,7 +67,8 @@ def write_evaluator(
     `turbidity` and `sun_zenith` (rad), together, of the one sky to write: the 18 numbers of a frame, without the table.
     **Errors:** `ValueError` for another sky or language, a turbidity or sun that the sky has no answer for, and a file
     that cannot be written.
-    **Valid:** float32 within 1e-4 of `sky.rgb` (tests). Turbidity and sun are kept within the range of the fit.
+    **Valid:** above the horizon and within the range of the fit, at whose edge turbidity and sun are kept; there within
+    1e-4 of the largest component of `sky.rgb`, in float32 too (tests). Below the horizon the light is the horizon's.
     """
     text = evaluator(sky, to, turbidity=turbidity, sun_zenith=sun_zenith)
     with atomic(Path(path)) as temporary:
@@ -80,12 +86,13 @@ def evaluator(
     if (turbidity is None) != (sun_zenith is None):
         raise ValueError("`turbidity` and `sun_zenith` must be given together, of one sky, or left out")
     haze, degrees, view, around = _TESTED
-    sun, one = math.radians(degrees), False
+    (low, high), (highest, lowest) = sky.fitted_turbidity, sky.fitted_sun
+    haze, sun, one = min(max(haze, low), high), min(max(math.radians(degrees), highest), lowest), False
     if turbidity is not None and sun_zenith is not None:
         haze, sun, one = float(turbidity), float(sun_zenith), True
     sky.check_range(haze, sun)
     dialect, python = _DIALECTS[to], to == "python"
-    parts = [_head(sky, one, haze, sun), dialect.first]
+    parts = [_head(sky, to, one, haze, sun), dialect.first]
     if one:
         parts.append(_table(dialect, "SKYFIT_FRAME", sky.frame(haze, sun)))
     elif isinstance(sky, Preetham):
@@ -115,10 +122,10 @@ def evaluator(
     return f"{body}\n{comment}\n"
 
 
-def _head(sky: Preetham | ExtendedPreetham, one: bool, haze: float, sun: float) -> str:
+def _head(sky: Preetham | ExtendedPreetham, to: Language, one: bool, haze: float, sun: float) -> str:
     """What the file is, in comments."""
     low, high = sky.fitted_turbidity
-    highest, lowest = sky.fitted_sun if isinstance(sky, ExtendedPreetham) else (0.0, sky.lowest_sun)
+    highest, lowest = sky.fitted_sun
     of = f"at turbidity {haze:g} with the sun {math.degrees(sun):g} degrees from the zenith" if one else "of any sun"
     lines = [
         f"A clear sky {of}: {type(sky).__name__}, written by skyfit.",
@@ -132,15 +139,21 @@ def _head(sky: Preetham | ExtendedPreetham, one: bool, haze: float, sun: float) 
         lines.append(
             f"turbidity {low:g} to {high:g}, sun_zenith {highest:g} to {lowest:.6g} rad: beyond, as at its edge."
         )
+    if to == "glsl":
+        lines.append("OpenGL ES: after #version 300 es and precision highp float;")
     lines.append("Preetham, Shirley & Smits 1999, eq. 3, 4 and A.2; Perez, Seals & Michalsky 1993, eq. 1.")
     return "\n".join(f"@comment@ {line}" for line in lines)
+
+
+def digits(value: np.floating) -> str:
+    """As few as bring a number of its precision back, with a point. `str` has fewer once colour-science is loaded."""
+    return np.format_float_positional(value, unique=True, trim="0")
 
 
 def _table(dialect: _Dialect, name: str, values) -> str:
     """Numbers of a table in its order in memory, eight to a line."""
     flat = np.asarray(values).ravel()
-    # as few digits as bring the number back; a float of GLSL has a point or an exponent
-    words = [str(value) for value in flat]
+    words = [digits(value) for value in flat]
     lines = [", ".join(words[first : first + 8]) for first in range(0, flat.size, 8)]
     start = dialect.table.replace("@name@", name).replace("@count@", str(flat.size))
     return start + "\n  " + ",\n  ".join(lines) + dialect.end
@@ -149,7 +162,7 @@ def _table(dialect: _Dialect, name: str, values) -> str:
 def _numbers(sky: Preetham | ExtendedPreetham) -> dict[str, str]:
     """The numbers that stand in the text, by name."""
     low, high = sky.fitted_turbidity
-    first, last = sky.fitted_sun if isinstance(sky, ExtendedPreetham) else (0.0, sky.lowest_sun)
+    first, last = sky.fitted_sun
     found = {
         "thin": low, "thick": high, "highest": first, "lowest": last, "cosine": LOWEST_COSINE,
         "exponent": LARGEST_EXPONENT, "smallest_y": SMALLEST_Y, "chi": LARGEST_CHI, "pi": math.pi,
@@ -198,7 +211,7 @@ _SHADER = {
 }
 """,
     "light": """
-@function@void skyfit_xyz(float frame[18], float cos_theta, float chord, @result@ xyz[3]) {
+@function@void skyfit_xyz(const float frame[18], float cos_theta, float chord, @result@ xyz[3]) {
   float seen[3];
   for (int q = 0; q < 3; q++) {
     int i = 6 * q;
@@ -212,7 +225,7 @@ _SHADER = {
   xyz[2] = total - xyz[0] - luminance;
 }
 
-@function@void skyfit_rgb(float frame[18], float cos_theta, float chord, @result@ rgb[3]) {
+@function@void skyfit_rgb(const float frame[18], float cos_theta, float chord, @result@ rgb[3]) {
   float xyz[3];
   skyfit_xyz(frame, cos_theta, chord, xyz);
   rgb[0] = @m00@ * xyz[0] + (@m01@) * xyz[1] + (@m02@) * xyz[2];

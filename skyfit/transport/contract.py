@@ -21,7 +21,7 @@ Geometry = Literal["flat", "spherical"]
 POLARISED_ERROR, SCALAR_ERROR = 0.003, 0.007
 _LAST_DEG = 5.0
 # rad, that a view may be below the level and yet be called level
-LEVEL = 1e-4
+_LEVEL = 1e-4
 _Method = TypeVar("_Method", bound=Callable)
 
 
@@ -224,7 +224,7 @@ def check_on_ground(scene: Scene, solver: str) -> None:
 def check_eye(scene: Scene) -> None:
     """A `ValueError` for a path down to the ground from no height, whose length is 0; traced views pass unseen."""
     zenith = concrete(scene.view.zenith)
-    if scene.height is None and zenith is not None and np.any(zenith > np.pi / 2 + LEVEL):
+    if scene.height is None and zenith is not None and np.any(zenith > np.pi / 2 + _LEVEL):
         raise ValueError(
             "`height` of the scene must be given for a path below the horizon (an eye is some 2 m up), got None and a "
             f"view zenith of {np.degrees(zenith.max()):.4g} degrees"
