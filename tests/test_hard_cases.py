@@ -135,8 +135,17 @@ def test_hard_cases_have_finite_values_and_gradients(name, dtype):
     [
         ("orders spherical", "float32"),
         *(slow(name, "float32") for name in SOLVERS if name != "orders spherical"),
-        # float32 has the narrower range; in float64 the dear ones are held by their forward mode above
-        *(slow(name, "float64") for name in ("single spherical", "uniform flat", "shells spherical")),
+        # float32 has the narrower range; in float64 the forward mode above holds the others
+        *(
+            slow(name, "float64")
+            for name in (
+                "single spherical",
+                "uniform flat",
+                "shells spherical",
+                "polarised spherical",
+                "sphere spherical",
+            )
+        ),
     ],
 )
 def test_hard_cases_have_finite_reverse_gradients(name, dtype):

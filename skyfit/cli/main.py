@@ -50,9 +50,9 @@ def main() -> None:
     try:
         app()
     except (ValueError, OSError) as error:
-        from .printing import notices
+        from .printing import complain
 
-        notices.print(f"skyfit: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
+        complain(str(error))
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)

@@ -12,6 +12,11 @@ console = Console()
 notices = Console(stderr=True)
 
 
+def complain(sentence: str) -> None:
+    """One line, however long, on standard error."""
+    notices.print(f"skyfit: {sentence}", style="red", highlight=False, markup=False, soft_wrap=True)
+
+
 @contextmanager
 def progress(title: str):
     """A bar on standard error; yields `progress(done, of)`."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..analytic import Comparison, model_xyz, Refit
 from ..draw import plot_skies
-from .printing import console, notices, table
+from .printing import complain, console, table
 
 
 # a table of more skies than this is one of suns
@@ -47,13 +47,7 @@ def print_refit(result: Refit) -> None:
     console.print("best five: Perez' formula fitted to each sky alone, what it can do at all", highlight=False)
     for quantity, word in result.result.items():
         if word != "successful":
-            notices.print(
-                f"skyfit: the joint fit of {quantity} did not end: {word}",
-                style="red",
-                highlight=False,
-                markup=False,
-                soft_wrap=True,
-            )
+            complain(f"the joint fit of {quantity} did not end: {word}")
 
 
 def _table_rows(skies: Comparison):

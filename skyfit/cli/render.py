@@ -137,7 +137,7 @@ def render(
     from ..atmosphere import Atmosphere, Ground
     from ..image import Camera
     from ..image.picture import check_saving
-    from ..image.render import check_eye, render as rendered
+    from ..image.render import check_height, render as rendered
     from ..transport import SOLVERS
     from .models import analytic_of, atmosphere_of, make_solver
     from .printing import console, progress
@@ -155,7 +155,7 @@ def render(
     asked: dict = {}
     if solver in SOLVERS:
         chosen = make_solver(solver, preset, GeometryName.flat if solver == "uniform" else GeometryName.spherical)
-        check_eye(height, chosen)
+        check_height(height, chosen)
         lowest, asked = chosen.suns.largest_deg, {"solver": chosen, "height": height}
         sky = (
             atmosphere_of(atmosphere)
@@ -168,7 +168,7 @@ def render(
                 f"`--atmosphere` must be left out with `--solver {solver}`: it is that of the formula's fit"
             )
         sky = analytic_of(solver, f"`--solver` must be one of {', '.join(SOLVERS)}")
-        check_eye(height, sky)
+        check_height(height, sky)
         sky.check_range(haze, sky.fitted_sun[0])
         lowest, asked = math.degrees(sky.fitted_sun[1]), {"turbidity": haze, "ground_albedo": ground_albedo}
     if until is None:

@@ -9,10 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..measured import atomic
-from ..measured.readers.header import moment_of
 from ..measured.writing import skyfit_version
 from .options import in_range
-from .sun import sun_of
+from .sun import moment_in, sun_of
 
 
 class Frame(NamedTuple):
@@ -36,16 +35,11 @@ def frames_of(
     if first is None or at is None or count is None:
         raise ValueError("`--until` must come with `--time`, `--at` and `--frames`")
     in_range("--frames", count, 2, 10000)
-    try:
-        ends = [moment_of(text.strip()) for text in (first, until)]
-    except ValueError:
-        raise ValueError(f"`--time` and `--until` must be ISO times, got {first!r} and {until!r}") from None
-    if not ends[0] < ends[1]:
+    start, end = moment_in("--time", first), moment_in("--until", until)
+    if not start < end:
         raise ValueError(f"`--until` must be later than `--time`, got {until} and {first}")
-    share = np.arange(count) / (count - 1)
-    moments = ends[0] + np.round(share * (ends[1] - ends[0]).astype("timedelta64[s]").astype(float)).astype(
-        "timedelta64[s]"
-    )
+    seconds = np.linspace(0.0, (end - start) / np.timedelta64(1, "s"), count)
+    moments = start + np.round(seconds).astype("timedelta64[s]")
     found = []
     for number, moment in enumerate(moments):
         time = f"{np.datetime_as_string(moment, 's')}Z"

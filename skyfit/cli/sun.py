@@ -14,7 +14,7 @@ def sun_of(
 
     **Arguments:** the options as they are given; `lowest`, the largest zenith angle that the model takes.
     """
-    moment = np.datetime64("NaT", "ns") if time is None else _moment(time)
+    moment = np.datetime64("NaT", "ns") if time is None else moment_in("--time", time)
     about: dict = {"time": np.array([moment])}
     if at is None:
         if zenith is None:
@@ -29,11 +29,12 @@ def sun_of(
     return zenith, azimuth, about | {"latitude_deg": latitude, "longitude_deg": longitude}
 
 
-def _moment(text: str) -> np.datetime64:
+def moment_in(name: str, text: str) -> np.datetime64:
+    """The time of an option."""
     try:
         return moment_of(text.strip())
     except ValueError:
-        raise ValueError(f"`--time` must be an ISO time in UTC such as 2013-05-27T14:00:00Z, got {text!r}") from None
+        raise ValueError(f"`{name}` must be an ISO time in UTC such as 2013-05-27T14:00:00Z, got {text!r}") from None
 
 
 def _place(text: str) -> tuple[float, float]:

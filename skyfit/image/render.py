@@ -63,13 +63,13 @@ def render(
             raise ValueError("`turbidity` must be left out with an atmosphere, whose haze is its own")
         solver = Spherical.normal() if solver is None else solver
         made_by = type(solver).__name__
-        check_eye(height, solver)
+        check_height(height, solver)
         pixels, beam, horizon = _of_solver(solver, sky, sun_zenith, sun_azimuth, height)
     else:
         if turbidity is None or solver is not None:
             raise ValueError("an analytic sky must come with `turbidity`, and without `solver`")
         made_by, horizon = type(sky).__name__, 0.5 * np.pi
-        check_eye(height, sky)
+        check_height(height, sky)
         pixels, beam = _of_formula(sky, turbidity, sun_zenith, sun_azimuth, ground_albedo)
     rows = max(_PIXELS // camera.width, 1)
     picture = np.empty((camera.height, camera.width, 3), np.float32)
@@ -85,7 +85,7 @@ def render(
     )
 
 
-def check_eye(height: float, asked: AbstractSolver | AbstractAnalyticSky) -> None:
+def check_height(height: float, asked: AbstractSolver | AbstractAnalyticSky) -> None:
     """A `ValueError` for another height than an eye's, other than with `Spherical`."""
     if height != EYE and not isinstance(asked, Spherical):
         name = type(asked).__name__
