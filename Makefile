@@ -2,8 +2,8 @@
 .DEFAULT_GOAL := help
 PYTHON ?= python3
 PIP := .venv/bin/python -m pip --quiet --disable-pip-version-check
-# two processes: most of a test's time is compilation, which uses one core
-PYTEST := .venv/bin/python -m pytest --numprocesses 2 --dist loadfile
+# two processes: most of a test's time is compilation, which uses one core; the order of the files is conftest's
+PYTEST := .venv/bin/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
 .PHONY: help install demo test test-slow lint lock clean
 

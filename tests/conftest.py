@@ -17,6 +17,13 @@ import pytest
 
 # all processes of a run share what one of them has compiled
 CACHE = "JAX_COMPILATION_CACHE_DIR"
+# above two minutes, the longest first
+LONGEST = (
+    "test_hard_cases", "test_polarisation", "test_recovery", "test_gradients", "test_cli", "test_heights",
+    "test_spherical", "test_image", "test_readme", "test_inversion", "test_spectrum", "test_error_bars",
+    "test_upsample", "test_aloft", "test_single", "test_broken_inputs", "test_joint_fit", "test_bruneton",
+    "test_moving_skies", "test_instrument",
+)  # fmt: skip
 # memory maps of a process, of which Linux allows 65530: each program holds some fifty
 MOST_MAPS = 40_000
 MAPS = Path("/proc/self/maps")
@@ -35,6 +42,12 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ[CACHE] = config.skyfit_cache = tempfile.mkdtemp(prefix="skyfit-programs-")
     jax.config.update("jax_compilation_cache_dir", os.environ[CACHE])
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The files that take longest begin, so that no process waits for the last of them."""
+    place = {name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
