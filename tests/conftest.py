@@ -12,6 +12,7 @@ from pathlib import Path
 
 import hypothesis
 import jax
+import jaxtyping
 import pytest
 
 
@@ -108,6 +109,14 @@ def skyfit_command(python: Callable) -> Callable:
         return done
 
     return call
+
+
+@pytest.fixture(autouse=True)
+def unchecked(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Slow tests call what the others call: types and shapes, a sixth of a test's time, are checked in the others."""
+    jaxtyping.config.update("jaxtyping_disable", request.node.get_closest_marker("slow") is not None)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture

@@ -93,7 +93,7 @@ def test_fit_json_has_the_keys_of_its_schema(chain):
         "atmosphere", "measurement", "priors", "smooth", "free", "shared", "fixed", "calibration", "times",
         "total_rmse", "notes",
     }  # fmt: skip
-    assert (record["schema"], record["version"], record["source"]) == ("skyfit.fit", 4, "sky.nc")
+    assert (record["schema"], record["version"], record["source"]) == ("skyfit.fit", 5, "sky.nc")
     assert record["solver"] == {"name": "SingleScattering", "nodes": 12, "geometry": "flat"}
     assert record["geometry"] == "flat" and record["instrument"] == {"fwhm_nm": 5.0, "response": None}
     assert record["station"] == {

@@ -19,7 +19,9 @@ NM = np.linspace(400.0, 900.0, CHANNELS)
 
 
 def free(strength=1.0):
-    return Expected(jnp.array([1e-3, 1e-3, 1e-4]), jnp.full(3, strength), jnp.array(0.1))
+    return Expected(
+        jnp.array([1e-3, 1e-3, 1e-4, 0.0, 0.0]), jnp.array([*[strength] * 3, jnp.inf, jnp.inf]), jnp.array(0.1)
+    )
 
 
 def errors(moves=False, seed=0):
@@ -35,8 +37,8 @@ def errors(moves=False, seed=0):
     return components.errors_of(one, one.measured, jnp.asarray(light[..., None] * steep))
 
 
-def sizes(sample, *common):
-    return Components(jnp.array(sample), jnp.array(common))
+def sizes(sample, level, colour, pointing, *broad):
+    return Components(jnp.array(sample), jnp.array([level, colour, pointing, *(broad or (0.0, 0.0))]))
 
 
 def dense(errors, found):
@@ -44,8 +46,8 @@ def dense(errors, found):
     weight = np.asarray(errors.weight)
     own = (float(found.sample) / np.where(weight > 0.0, weight, 1.0)) ** 2
     if errors.turned is not None:
-        own = own + np.asarray(errors.turned) * float(found.common[-1]) ** 2
-    common = np.asarray(errors.common) * np.repeat(np.asarray(found.common), [1, 2, 2])
+        own = own + np.asarray(errors.turned) * float(found.common[2]) ** 2
+    common = np.asarray(errors.common) * np.repeat(np.asarray(found.common[:3]), [1, 2, 2])
     return np.einsum("dce,dfe->dcf", common, common) + np.eye(CHANNELS) * own[..., None]
 
 
@@ -113,7 +115,7 @@ def test_the_sizes_are_those_of_the_largest_restricted_likelihood(x64, moves):
 
     start = np.log(truth)
     best = np.exp(scipy.optimize.minimize(cost, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-3}).x)
-    np.testing.assert_allclose([found.sample, *found.common], best, rtol=0.02)
+    np.testing.assert_allclose([found.sample, *found.common[:3]], best, rtol=0.02)
 
 
 @pytest.mark.parametrize("loss", ["squares", "huber"])
@@ -122,7 +124,7 @@ def test_the_sizes_of_many_residuals_are_right_on_the_mean(x64, moves, loss):
     wrong, truth = errors(moves), sizes(1.2, 0.02, 0.01, 0.005)
     columns = jnp.asarray(some_columns(7))
     found = [estimate(wrong, jnp.asarray(drawn(wrong, truth, 10 + k)), columns, free(), loss) for k in range(40)]
-    squares = np.mean([np.square([one.sample, *one.common]) for one in found], axis=0)
+    squares = np.mean([np.square([one.sample, *one.common[:3]]) for one in found], axis=0)
     np.testing.assert_allclose(np.sqrt(squares), [1.2, 0.02, 0.01, 0.005], rtol=0.06)
 
 
@@ -139,7 +141,7 @@ def test_an_outlying_direction_does_not_make_the_others_uncertain(x64):
 def test_what_is_given_stays(x64):
     wrong = errors()
     residual = jnp.asarray(drawn(wrong, sizes(0.5, 0.02, 0.01, 0.005), 9))
-    given = Expected(jnp.array([0.03, 0.0, 0.002]), jnp.full(3, jnp.inf), jnp.array(1.0))
+    given = Expected(jnp.array([0.03, 0.0, 0.002, 0.02, 0.0]), jnp.full(5, jnp.inf), jnp.array(1.0))
     found = estimate(wrong, residual, jnp.asarray(some_columns(9, 1)), given, "huber")
     np.testing.assert_array_equal(found.common, given.common)
     assert found.sample == pytest.approx(1.0, rel=1e-12)

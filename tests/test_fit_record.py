@@ -51,7 +51,7 @@ def test_the_record_has_the_documented_keys(record, fit):
         "atmosphere", "measurement", "priors", "smooth", "free", "shared", "fixed", "calibration", "times",
         "total_rmse", "notes",
     }  # fmt: skip
-    assert (record["schema"], record["version"]) == ("skyfit.fit", 4)
+    assert (record["schema"], record["version"]) == ("skyfit.fit", 5)
     assert record["source"] == "made.nc"
     assert record["solver"] == {"name": "SingleScattering", "nodes": 8, "geometry": "flat"}
     assert record["geometry"] == "flat"
@@ -67,7 +67,8 @@ def test_the_record_has_the_documented_keys(record, fit):
     assert record["measurement"] == {
         "relative": None, "floor": None, "calibration": None, "calibration_prior": 0.01,
         "model_error": 0.007, "field_of_view_deg": 0.0, "loss": "huber", "threshold": 3.0,
-        "level": None, "colour": None, "pointing_deg": None, "time_level": 0.0,
+        "level": None, "colour": None, "pointing_deg": None, "broad_level": None, "broad_colour": None,
+        "time_level": 0.0,
     }  # fmt: skip
     assert record["priors"] == record["smooth"] == {}
     assert keys_of(record["shared"]["parameters"]) == set(SHARED)
@@ -92,6 +93,7 @@ def test_the_record_has_the_documented_keys(record, fit):
         noise = entry["noise"]
         assert (noise["sample"], noise["level"], noise["colour"]) == (fit.scale[t], *fit.common[t, :2])
         assert noise["pointing_deg"] == pytest.approx(np.degrees(fit.common[t, 2])) and noise["widening"] >= 1.0
+        assert [noise["broad_level"], noise["broad_colour"]] == list(fit.common[t, 3:])
         assert sum(noise["share"].values()) == pytest.approx(1.0, abs=1e-5) and entry["beam"] == []
         assert keys_of(entry["parameters"]) == set(OWN)
         for name in OWN:
@@ -228,8 +230,8 @@ HAZE = ("atmosphere", "constituents", "aerosol")
 REFUSED = {
     "schema": (("schema",), "other", "schema"),
     "no schema": (("schema",), ..., "schema"),
-    "version": (("version",), 5, "version"),
-    "version of an older skyfit": (("version",), 3, "version`: expected 4, found 3, of an older skyfit: fit"),
+    "version": (("version",), 6, "version"),
+    "version of an older skyfit": (("version",), 4, "version`: expected 5, found 4, of an older skyfit: fit"),
     "no solver": (("solver",), ..., "solver"),
     "solver name": (("solver", "name"), "Magic", r"solver\.name"),
     "solver setting": (("solver", "nodes"), "8", r"solver\.nodes"),
@@ -333,7 +335,7 @@ def test_times_that_share_nothing_have_all_parameters_and_scales_of_their_own(fi
 
 
 def test_what_was_asked_for_is_told(fit, tmp_path):
-    asked = NoiseModel(0.01, 0.02, 0.03, 0.004, np.radians(5.0), "cauchy", 2.0, 0.02, 0.01, np.radians(0.2), 0.005)
+    asked = NoiseModel(0.01, 0.02, 0.03, 0.004, np.radians(5.0), "cauchy", 2.0, 0.02, 0.01, np.radians(0.2), 0.03, 0.04, 0.005)
     weight = fit.weight.copy()
     weight[1, 4] = [0.2, 0.4, np.nan]
     changed = replace(
@@ -345,7 +347,8 @@ def test_what_was_asked_for_is_told(fit, tmp_path):
     assert record["measurement"] == {
         "relative": 0.01, "floor": 0.02, "calibration": 0.03, "calibration_prior": 0.03, "model_error": 0.004,
         "field_of_view_deg": 5.0, "loss": "cauchy", "threshold": 2.0,
-        "level": 0.02, "colour": 0.01, "pointing_deg": pytest.approx(0.2), "time_level": 0.005,
+        "level": 0.02, "colour": 0.01, "pointing_deg": pytest.approx(0.2), "broad_level": 0.03, "broad_colour": 0.04,
+        "time_level": 0.005,
     }  # fmt: skip
     assert record["priors"] == {"angstrom_exponent": {"value": 1.2, "sigma": 0.3, "unit": "1"}}
     assert record["smooth"] == {

@@ -89,9 +89,9 @@ def test_sasktran2_has_enough_streams_and_layers(sasktran2, truth):
 @pytest.mark.slow
 def test_the_measured_scans_of_a_morning_are_fitted(shared, x64):
     sky = skyfit.read(shared / "measured" / "kider2014" / "2013-05-27.nc")
-    # before the clouds of noon, under which a scan is a poor fit
-    fit = skyfit.invert(sky.at_times(range(6)))
-    assert len(fit.result) == 6 and set(fit.result) == {"successful"}
+    # before the clouds of noon, under which a scan is a poor fit; experiments/validation/error_bars.py has all
+    fit = skyfit.invert(sky.at_times([0, 5]))
+    assert fit.result == ("successful", "successful")
     # W m-2 sr-1 nm-1; the peers have 11e-3 to 89e-3
     assert fit.total_rmse < 8e-3 and fit.rmse.max() < 8e-3
     depth = fit.values[:, fit.free.index("aerosol_optical_depth")]

@@ -111,7 +111,7 @@ def by_halves(sky: skyfit.Sky, free: tuple[str, ...], seed: int) -> list[dict]:
 def _slopes(solver, names, fixed, scaled, one):
     known = linearised(names, solver, None, fixed, scaled, one)
     errors = errors_of(one, known.radiance, known.turn)
-    return known.radiance, known.jacobian[: known.radiance.size], errors.common
+    return known.radiance, known.jacobian[: known.radiance.size], errors.common, jnp.sum(errors.broad**2, axis=-1)
 
 
 def predicted(whole, fit: skyfit.Fit, t: int) -> tuple[np.ndarray, np.ndarray]:
@@ -122,14 +122,14 @@ def predicted(whole, fit: skyfit.Fit, t: int) -> tuple[np.ndarray, np.ndarray]:
     free = fit.free
     one = whole.problem.at(t)
     scaled = jnp.asarray([PARAMETERS[n].to_scale(v) for n, v in zip(free, fit.values[t], strict=True)])
-    radiance, jacobian, common = (
+    radiance, jacobian, common, broad = (
         np.asarray(v) for v in _slopes(SOLVER, free, partition(fit.start, free)[1], scaled, one)
     )
     # sigma in the stated unit, slopes by the parameter's scale
     unit = np.array([v if PARAMETERS[n].log else 1.0 for n, v in zip(free, fit.values[t], strict=True)])
     covariance = fit.covariance[t] / unit[:, None] / unit[None]
     variance = np.einsum("sp,pq,sq->s", jacobian, covariance, jacobian).reshape(radiance.shape)
-    variance += np.sum((common * fit.common[t][KIND_OF]) ** 2, axis=-1)
+    variance += np.sum((common * fit.common[t][KIND_OF]) ** 2, axis=-1) + broad @ fit.common[t][3:] ** 2
     weight = np.asarray(one.weight)
     held = weight > 0.0
     variance += (fit.scale[t] / np.where(held, weight, 1.0)) ** 2 + (radiance * fit.calibration_sigma[t][None]) ** 2

@@ -143,13 +143,14 @@ def _about(fit: Fit):
     noise = f"noise, each sample's own {_span(fit.scale, '.2g')} times the {known} one"
     yield f"model: {in_words(fit.solver)}"
     yield f"sigma: {noise}, and a model error of {error:.2g} % (by model)"
-    level, colour, pointing = fit.common.T
+    level, colour, pointing, *broad = fit.common.T
     yield (
         f"a direction's own errors: level {_span(100.0 * level, '.2g')} %, colour {_span(100.0 * colour, '.2g')} %, "
-        f"pointing {_span(np.degrees(pointing), '.2g')} deg"
+        f"pointing {_span(np.degrees(pointing), '.2g')} deg; a broad part of the sky's: "
+        f"level {_span(100.0 * broad[0], '.2g')} %, colour {_span(100.0 * broad[1], '.2g')} %"
     )
     share = fit.error_share.mean(axis=0)
-    most = ("each sample's own", *KINDS)[int(np.argmax(share))]
+    most = ("each sample's own", *KINDS)[int(np.argmax(share))].replace("_", " ")
     spectral, angular = fit.residual_correlation.T
     yield (
         f"most of the noise: {most}, {100.0 * share.max():.0f} %; the rest correlates {_span(spectral, '.2f')} with "

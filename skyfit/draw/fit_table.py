@@ -131,10 +131,11 @@ def _told(fit: Fit, t: int) -> list[str]:
 
 def _noise(fit: Fit, t: int) -> list[str]:
     """The kinds of error of a time, and how far the direct beam is from that of the fit."""
-    level, colour, pointing = fit.common[t]
+    level, colour, pointing, broad_level, broad_colour = fit.common[t]
     said = [
         f"noise: {fit.scale[t]:.2g} sigma, level {100.0 * level:.2g} %, colour {100.0 * colour:.2g} %, "
-        f"pointing {np.degrees(pointing):.2g}\N{DEGREE SIGN}"
+        f"pointing {np.degrees(pointing):.2g}\N{DEGREE SIGN}",
+        f"broad: level {100.0 * broad_level:.2g} %, colour {100.0 * broad_colour:.2g} %",
     ]
     if np.isfinite(fit.beam_residual[t]).any():
         said.append(f"direct beam: within {np.nanmax(np.abs(fit.beam_residual[t])):.2g} sigma of the fit's")

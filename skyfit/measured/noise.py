@@ -14,9 +14,9 @@ Loss = Literal["squares", "huber", "cauchy"]
 # where a file gives none, of each sample and of the time's median radiance: where the sizes of a fit's residuals begin
 # (experiments/studies/measured_sky.py)
 _RELATIVE, _FLOOR = 0.02, 0.05
-# what directions' errors are taken for before the residuals are seen, and for how many directions that counts: relative
-# level and colour, and pointing in radians: small, so that skies without any keep their error bars
-_LEVEL, _COLOUR, _POINTING, _STRENGTH = 5e-4, 3e-4, 2e-4, 1.0
+# what errors in common are taken for before the residuals are seen, in the order of their names in `NoiseModel`, and
+# for how many directions that counts: small, so that skies without any keep their error bars
+_TAKEN, _STRENGTH = (5e-4, 3e-4, 2e-4, 5e-4, 3e-4), 1.0
 # the calibration's prior where the noise is not known either
 _CALIBRATION = 0.01
 
@@ -38,6 +38,8 @@ class NoiseModel:
       of where it was looked, radians, on each of two axes. They widen sigma and weigh no sample. None: as large as the
       residuals show; 0: there are none.
       Where each wavelength has views of its own so has each sample its error of pointing
+    - `broad_level`, `broad_colour`: the same of relative errors, of level and of a slope in the logarithm of
+      wavelength, that views within some 0.6 rad share: stray light, an aerosol or a ground unlike the model's
     - `time_level`: relative error that all samples of a time share, which no residual shows
     - `field_of_view`: full cone angle of what the instrument sees, radians; 0: a ray.
     - `loss`: of a residual beyond `threshold` standard deviations: "squares", "huber" (linear) or "cauchy"
@@ -54,13 +56,15 @@ class NoiseModel:
     level: float | None = None
     colour: float | None = None
     pointing: float | None = None
+    broad_level: float | None = None
+    broad_colour: float | None = None
     time_level: float = 0.0
 
     def __post_init__(self):
         for name, low, high in (
             ("relative", 0.0, 1.0), ("floor", 0.0, 1.0), ("calibration", 0.0, 1.0), ("model_error", 0.0, 1.0),
             ("field_of_view", 0.0, 0.5), ("threshold", 0.5, 1e3), ("level", 0.0, 1.0), ("colour", 0.0, 1.0),
-            ("pointing", 0.0, 0.2), ("time_level", 0.0, 1.0),
+            ("pointing", 0.0, 0.2), ("broad_level", 0.0, 1.0), ("broad_colour", 0.0, 1.0), ("time_level", 0.0, 1.0),
         ):  # fmt: skip
             check_range(name, getattr(self, name), low, high)
         if self.loss not in ("squares", "huber", "cauchy"):
@@ -89,9 +93,9 @@ class NoiseModel:
         return np.maximum(result, least if least > 0.0 else 1.0)
 
     def shared_errors(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """What is taken for errors that wavelengths share, and for how many directions that counts; inf: given."""
-        given, taken = (self.level, self.colour, self.pointing), (_LEVEL, _COLOUR, _POINTING)
-        sizes = tuple(t if g is None else g for g, t in zip(given, taken, strict=True))
+        """What is taken for errors in common, and for how many directions that counts; inf: given."""
+        given = self.level, self.colour, self.pointing, self.broad_level, self.broad_colour
+        sizes = tuple(t if g is None else g for g, t in zip(given, _TAKEN, strict=True))
         return sizes, tuple(_STRENGTH if g is None else float("inf") for g in given)
 
     def calibration_prior(self, sky: Sky) -> float:

@@ -1,8 +1,8 @@
 """The kinds of error that a measurement has, how large each is, and residuals freed of what they share.
 
 A sample's error is its own, or common to all wavelengths of its direction: of their level, of their colour, or of where
-the instrument looked. Errors in common have no say in what fits best, but in how sure it is: the cost is linear in the
-samples.
+the instrument looked; level and colour may also err alike in a broad part of the sky. Errors in common have no say in
+what fits best, but in how sure it is: the cost is linear in the samples.
 """
 
 from typing import NamedTuple
@@ -14,30 +14,37 @@ from jax.scipy.special import erf
 from jaxtyping import Array, Bool, Float
 
 from ..measured.noise import Loss
+from ..numerics import as_float
 from ..numerics.factor import inverse, solve_upper, triangle
 from .forward import Problem
 from .loss import typical_size
 
 
-# and the kind of each column of `Errors.common`: colour is a slope and a bend, pointing has two axes
-KINDS = ("level", "colour", "pointing")
+KINDS = ("level", "colour", "pointing", "broad_level", "broad_colour")
+# the kind of each column of `Errors.common`: colour is a slope and a bend, pointing has two axes
 _KIND_OF = np.array([0, 1, 1, 2, 2], np.uint8)
 COMMON = _KIND_OF.size
+_ALONE, _BROAD = len(KINDS) - 2, 2
 # where the search for the sizes begins, in the order of `KINDS`: large, for from below it is slow
-_LARGE = (0.1, 0.1, 0.03)
+_LARGE = (0.1, 0.1, 0.03, 0.05, 0.05)
+# of the bumps that make up a broad error, and their width in radians: as far as they are apart
+_BUMPS, _WIDTH = 16, 0.6
 # passes of the estimate, and steps of expectation and maximisation in each
-_PASSES, _STEPS = 4, 30
+_PASSES, _STEPS = 6, 20
 # standard deviations beyond which a row tells nothing of the sizes
 _FURTHEST = 3.0
 # share of a column's length that counts as none, in the elimination of parameters without influence
 _GUARD = 1e-6
+# the least size of a broad error that is told from none
+_LEAST_BROAD = 1e-6
 
 
 class Components(NamedTuple):
     """Standard deviations of the kinds of error of one time.
 
     `sample`: of what each sample has of its own, over the stated one; `common`, in the order of `KINDS`: relative level
-    of a direction, its colour (a slope and a bend in the logarithm of wavelength, 1 at the ends), pointing in radians.
+    of a direction, its colour (a slope and a bend in the logarithm of wavelength, 1 at the ends), pointing in radians;
+    level and slope that are alike in a broad part of the sky.
     """
 
     sample: Float[Array, ""]
@@ -60,12 +67,14 @@ class Errors(NamedTuple):
     """What errors of size 1 do to the samples of one time.
 
     `weight`, one over the stated sigma of what each has of its own, 0 where masked; `common` to a direction; `turned`,
-    the squared slope by the angle of the view, where each sample has a view, and so a pointing error, of its own.
+    the squared slope by the angle of the view, where each sample has a view, and so a pointing error, of its own;
+    `broad`, of level and of slope in turn, what each bump of a broad error does.
     """
 
     weight: Float[Array, "direction channel"]
     common: Float[Array, "direction channel effect"]
     turned: Float[Array, "direction channel"] | None
+    broad: Float[Array, "direction channel kind bump"]
 
 
 class Whitening(NamedTuple):
@@ -98,30 +107,48 @@ def errors_of(
     slopes = jnp.stack([turn[..., 0], turn[..., 1] / jnp.maximum(sine, 1e-3)], axis=-1)
     turned = jnp.sum(slopes**2, axis=-1) if moves else None
     slopes = jnp.zeros_like(slopes) if moves else slopes
-    return Errors(one.weight, jnp.concatenate([radiance[..., None] * shapes[None], slopes], axis=-1), turned)
+    level = radiance[..., None] * shapes[None]
+    broad = level[..., :_BROAD, None] * _bumps(*one.mean_view())[:, None, None]
+    return Errors(one.weight, jnp.concatenate([level, slopes], axis=-1), turned, broad)
+
+
+def _bumps(zenith: Float[Array, " direction"], azimuth: Float[Array, " direction"]) -> Float[Array, "direction bump"]:
+    """Functions of the view whose sum with independent factors of size 1 has size 1 everywhere and is smooth."""
+    place = np.arange(_BUMPS)
+    # a spiral: as many for each part of the hemisphere
+    height, turn = 1.0 - (place + 0.5) / _BUMPS, np.pi * (3.0 - np.sqrt(5.0)) * place
+    side = np.sqrt(1.0 - height**2)
+    centre = as_float(np.stack([side * np.sin(turn), side * np.cos(turn), height]))
+    sine = jnp.sin(zenith)
+    view = jnp.stack([sine * jnp.sin(azimuth), sine * jnp.cos(azimuth), jnp.cos(zenith)], axis=-1)
+    bump = jnp.exp((view @ centre.astype(view.dtype) - 1.0) / _WIDTH**2)
+    return bump / jnp.sqrt(jnp.sum(bump**2, axis=1, keepdims=True))
 
 
 def whitening(errors: Errors, found: Components) -> Whitening:
     """The whitening that errors of these sizes ask for."""
     weight = _own_weight(errors, found)
-    scaled = _scaled(errors, found) * weight[..., None]
-    across, shares, frame = [], [], []
-    for k in range(COMMON):
+
+    def one(state, k):
+        scaled, frame = state
         # what the columns before it leave of it
         column = scaled[..., k]
         square = jnp.sum(column**2, axis=1)
         safe = jnp.where(square > 1e-6, square, 1.0)
         # (1 + a a^T)^(-1/2) = 1 - share a a^T; 1/2 for small ones
-        shares.append(jnp.where(square > 1e-6, (1.0 - 1.0 / jnp.sqrt(1.0 + safe)) / safe, 0.5))
-        across.append(column)
-        scaled = _mirrored(scaled, column, shares[-1])
+        share = jnp.where(square > 1e-6, (1.0 - 1.0 / jnp.sqrt(1.0 + safe)) / safe, 0.5)
         unit = column / jnp.sqrt(jnp.where(square > 0.0, square, 1.0))[:, None]
-        for other in frame:
-            unit = unit - other * jnp.sum(other * unit, axis=1, keepdims=True)
+        # once more for what rounding leaves
+        for _ in range(2):
+            unit = unit - jnp.einsum("edc,ed->dc", frame, jnp.einsum("edc,dc->ed", frame, unit))
         length = jnp.sqrt(jnp.sum(unit**2, axis=1, keepdims=True))
         # what the columns before it span has no axis of its own
-        frame.append(jnp.where(length > 1e-3, unit / jnp.where(length > 1e-3, length, 1.0), 0.0))
-    return Whitening(weight, jnp.stack(across), jnp.stack(shares), jnp.stack(frame))
+        axis = jnp.where(length > 1e-3, unit / jnp.where(length > 1e-3, length, 1.0), 0.0)
+        return (_mirrored(scaled, column, share), frame.at[k].set(axis)), (column, share)
+
+    begin = _scaled(errors, found) * weight[..., None], jnp.zeros((COMMON, *weight.shape), weight.dtype)
+    (_, frame), (across, share) = jax.lax.scan(one, begin, jnp.arange(COMMON))
+    return Whitening(weight, across, share, frame)
 
 
 def _of_kind(effects, kind: int):
@@ -138,14 +165,17 @@ def _own_weight(errors: Errors, found: Components):
     weight = errors.weight / found.sample
     if errors.turned is None:
         return weight
-    return weight / jnp.sqrt(1.0 + errors.turned * (found.common[-1] * weight) ** 2)
+    return weight / jnp.sqrt(1.0 + errors.turned * (_pointing(found) * weight) ** 2)
+
+
+def _pointing(found: Components) -> Float[Array, ""]:
+    return found.common[KINDS.index("pointing")]
 
 
 def whiten(white: Whitening, samples: Float[Array, "direction channel column"]) -> Float[Array, "direction row column"]:
     """Samples as independent rows of size 1: what each direction has in common first, then the rest of each sample."""
     values = samples * white.weight[..., None]
-    for vector, share in zip(white.across, white.share, strict=True):
-        values = _mirrored(values, vector, share)
+    values = jax.lax.scan(lambda v, item: (_mirrored(v, *item), None), values, (white.across, white.share))[0]
     common = jnp.einsum("edc,dcx->dex", white.frame, values)
     return jnp.concatenate([common, values - jnp.einsum("edc,dex->dcx", white.frame, common)], axis=1)
 
@@ -155,10 +185,11 @@ def moved_by(
 ) -> Float[Array, "effect column"]:
     """How much independent errors of size 1 that samples have in common move each column of linear `rows`."""
     common = jnp.einsum("dce,dcx->dex", _scaled(errors, found), rows)
-    common = common.reshape(-1, rows.shape[2])
+    broad = jnp.einsum("dckb,k,dcx->kbx", errors.broad, found.common[_ALONE:], rows)
+    common = jnp.concatenate([common.reshape(-1, rows.shape[2]), broad.reshape(-1, rows.shape[2])])
     if errors.turned is None:
         return common
-    turned = (jnp.sqrt(errors.turned) * found.common[-1])[..., None] * rows
+    turned = (jnp.sqrt(errors.turned) * _pointing(found))[..., None] * rows
     return jnp.concatenate([common, turned.reshape(-1, rows.shape[2])])
 
 
@@ -176,9 +207,11 @@ def share_of(errors: Errors, found: Components) -> Float[Array, " kind"]:
     """The share of each kind, the samples' own first, in the squares of all errors over the stated sigma."""
     weight = errors.weight / found.sample
     of_all = jnp.sum((_scaled(errors, found) * weight[..., None]) ** 2, axis=(0, 1))
-    squares = [jnp.sum(weight > 0.0), *(jnp.sum(_of_kind(of_all, k)) for k in range(len(KINDS)))]
+    squares = [jnp.sum(weight > 0.0), *(jnp.sum(_of_kind(of_all, k)) for k in range(_ALONE))]
     if errors.turned is not None:
-        squares[-1] = jnp.sum(errors.turned * (found.common[-1] * weight) ** 2)
+        squares[-1] = jnp.sum(errors.turned * (_pointing(found) * weight) ** 2)
+    broad = jnp.sum((errors.broad * weight[..., None, None]) ** 2, axis=(0, 1, 3))
+    squares.extend(broad * found.common[_ALONE:] ** 2)
     every = jnp.stack(squares)
     return every / jnp.maximum(jnp.sum(every), 1e-30)
 
@@ -196,13 +229,14 @@ def estimate(
     r"""The sizes that the residuals of one time show, by restricted maximum likelihood.
 
     Errors in common are unknowns with a normal distribution, and the parameters such without one; the variances by
-    expectation and maximisation over the posterior of both. Rows beyond the threshold of the loss, or three standard
-    deviations, do not count, but most always do: bounded alone, as in Huber's loss, those of one in threshold^2
-    directions would grow with what they make of the sizes.
+    expectation and maximisation over the posterior of both, those of broad errors by their evidence. Rows beyond the
+    threshold of the loss, or three standard deviations, do not count, but most always do: bounded alone, as in Huber's
+    loss, those of one in threshold^2 directions would grow with what they make of the sizes.
 
     **Arguments:** `residual`, model minus measurement; `columns`, its slopes by all that is fitted, `prior`, one over
     the sigma of each column's unknown; `moves`: whether these go where the residuals draw them, or others hold them.
-    **Source:** Patterson & Thompson 1971, Biometrika 58, 545; Dempster, Laird & Rubin 1977, J. R. Stat. Soc. B 39, 1.
+    **Source:** Patterson & Thompson 1971, Biometrika 58, 545; Dempster, Laird & Rubin 1977, J. R. Stat. Soc. B 39, 1;
+    MacKay 1992, Neural Comput. 4, 415 (evidence).
     """
     middle = typical_size((residual * errors.weight).reshape(-1), errors.weight.reshape(-1) > 0.0)
     middle = jnp.maximum(jnp.where(jnp.isfinite(middle), middle, 1.0), expected.least)
@@ -215,13 +249,20 @@ def estimate(
     large = jnp.where(jnp.isinf(expected.strength), expected.common, jnp.asarray(_LARGE, middle.dtype))
     # as large as if none were too far
     whole = 1.0 / jnp.sqrt(_calm(furthest))
+    fitted = columns.shape[-1]
+    broad = errors.broad.reshape(*residual.shape, -1).astype(columns.dtype)
+    columns = jnp.concatenate([columns, broad], axis=-1)
     samples = jnp.concatenate([columns, residual[..., None]], axis=-1)
+    follow = jnp.where(jnp.arange(columns.shape[-1]) < fitted, float(moves), 1.0).astype(columns.dtype)
 
     def one_pass(_, found: Components) -> Components:
         rows = whiten(whitening(errors, found), samples)
         near = _near(rows[..., -1], furthest)
-        spread, step = _profiled((near[..., None] * rows).reshape(-1, rows.shape[-1]), prior)
-        moved = residual + columns @ step if moves else residual
+        tight = 1.0 / jnp.maximum(found.common[_ALONE:], _LEAST_BROAD)
+        tied = jnp.concatenate([prior, jnp.repeat(tight, _BUMPS)])
+        spread, step = _profiled((near[..., None] * rows).reshape(-1, rows.shape[-1]), tied)
+        found = _with_broad(found, spread[fitted:], step[fitted:], expected)
+        moved = residual + columns @ (follow * step)
         left = jnp.concatenate([whole * moved[..., None], columns @ spread], axis=-1)
         trusted = jnp.all(near[:, :COMMON], axis=1, keepdims=True) & near[:, COMMON:] & (errors.weight > 0.0)
         trusted = trusted.astype(residual.dtype)
@@ -229,6 +270,19 @@ def estimate(
 
     found = jax.lax.fori_loop(0, _PASSES, one_pass, Components(jnp.ones_like(middle), large))
     return found._replace(sample=found.sample * middle)
+
+
+def _with_broad(found: Components, spread, step, expected: Expected) -> Components:
+    """The sizes of broad errors by the evidence: as large as their bumps are, of which so many are determined."""
+    size = found.common[_ALONE:]
+    square = step.reshape(_BROAD, _BUMPS) ** 2
+    unsure = jnp.sum(spread.reshape(_BROAD, _BUMPS, -1) ** 2, axis=(1, 2))
+    count = _BUMPS - unsure / jnp.maximum(size, _LEAST_BROAD) ** 2
+    given = jnp.isinf(expected.strength[_ALONE:])
+    strength = jnp.where(given, 1.0, expected.strength[_ALONE:])
+    taken = expected.common[_ALONE:]
+    variance = (strength * taken**2 + jnp.sum(square, axis=1)) / (strength + jnp.maximum(count, 0.0))
+    return found._replace(common=found.common.at[_ALONE:].set(jnp.where(given, taken, jnp.sqrt(variance))))
 
 
 def _near(rows: Float[Array, "direction row"], furthest) -> Bool[Array, "direction row"]:
@@ -274,20 +328,20 @@ def _refined(errors: Errors, found: Components, left, trusted, expected: Expecte
     direction = jnp.max(trusted, axis=1)
     count, samples = jnp.sum(direction), jnp.maximum(jnp.sum(trusted), 1.0)
     by_effect = direction @ square / jnp.maximum(count, 1.0)
-    mean = jnp.stack([jnp.mean(_of_kind(by_effect, k)) for k in range(len(KINDS))]) * found.common**2
+    alone = found.common[:_ALONE]
+    mean = jnp.stack([jnp.mean(_of_kind(by_effect, k)) for k in range(_ALONE)]) * alone**2
     if errors.turned is not None:
         # two independent parts of each sample's own error
         size = 1.0 / jnp.where(weight > 0.0, weight, 1.0) ** 2
-        share = errors.turned * (found.common[-1] * weight) ** 2
+        share = errors.turned * (_pointing(found) * weight) ** 2
         both = share * (1.0 - share) * size
         turned = (share**2 * own + both) / jnp.where(errors.turned > 0.0, errors.turned, 1.0)
         held = trusted * (errors.turned > 0.0)
         mean = mean.at[-1].set(jnp.sum(held * turned) / jnp.maximum(jnp.sum(held), 1.0))
         own = (1.0 - share) ** 2 * own + both
-    given = jnp.isinf(expected.strength)
-    strength = jnp.where(given, 1.0, expected.strength)
-    variance = (strength * expected.common**2 + count * mean) / (strength + count)
+    given = jnp.isinf(expected.strength[:_ALONE])
+    strength, taken = jnp.where(given, 1.0, expected.strength[:_ALONE]), expected.common[:_ALONE]
+    variance = (strength * taken**2 + count * mean) / (strength + count)
     ratio = jnp.sum(trusted * errors.weight**2 * own) / samples
-    return Components(
-        jnp.maximum(jnp.sqrt(ratio), expected.least), jnp.where(given, expected.common, jnp.sqrt(variance))
-    )
+    alone = jnp.where(given, taken, jnp.sqrt(variance))
+    return Components(jnp.maximum(jnp.sqrt(ratio), expected.least), found.common.at[:_ALONE].set(alone))

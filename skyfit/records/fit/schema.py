@@ -1,9 +1,9 @@
 r"""The form of a fit's JSON record, and the check that a file has it.
 
 `skyfit.save(fit, "*.json")` writes strict JSON (UTF-8; what is not finite is null) of the schema
-"skyfit.fit", version 4. Angles are in degrees, azimuth clockwise from north; a value has its unit beside it.
+"skyfit.fit", version 5. Angles are in degrees, azimuth clockwise from north; a value has its unit beside it.
 
-    schema, version       "skyfit.fit", 4
+    schema, version       "skyfit.fit", 5
     skyfit_version        of the package that wrote the file, or null
     source                name of the measured file
     solver                name: class in skyfit.transport; then all its settings by name
@@ -16,8 +16,8 @@ r"""The form of a fit's JSON record, and the check that a file has it.
     atmosphere            where the fit began, as skyfit/atmosphere/description.py documents: constituents by name with
                           kind and every number, and ground; what is free has its first guess here
     measurement           relative, floor, calibration (null: by the file, else the default), model_error,
-                          field_of_view_deg, loss, threshold, level, colour, pointing_deg (null: estimated) and
-                          time_level as in skyfit.NoiseModel;
+                          field_of_view_deg, loss, threshold, level, colour, pointing_deg, broad_level,
+                          broad_colour (null: estimated) and time_level as in skyfit.NoiseModel;
                           calibration_prior: sigma of each wavelength's scale that the fit took, 0: exact
     priors                name: {value, sigma, unit}
     smooth                name: {sigma_per_hour, unit}; of a positive parameter that of its logarithm, unit "1"
@@ -43,8 +43,9 @@ r"""The form of a fit's JSON record, and the check that a file has it.
       noise               the errors of this time as the residuals show them
         sample            each sample's own, in the stated noise
         level, colour, pointing_deg    what all wavelengths of a direction share: relative, and where it looked
+        broad_level, broad_colour      relative, what a broad part of the sky shares
         widening          by how much sigma is more, because samples are trusted less
-        share             of sample, level, colour, pointing in the squares of all
+        share             of sample, level, colour, pointing, broad_level, broad_colour in the squares of all
         spectral_correlation, angular_correlation      of what is left, with the next wavelength and direction
       beam                the direct beam, or []: wavelength_nm, residual (model minus measured, over sigma)
       degrees_of_freedom  how many parameters the data, not the priors, determine
@@ -58,8 +59,10 @@ r"""The form of a fit's JSON record, and the check that a file has it.
 import json
 from pathlib import Path
 
+from ...retrieve.components import KINDS
 
-SCHEMA, VERSION = "skyfit.fit", 4
+
+SCHEMA, VERSION = "skyfit.fit", 5
 _NUMBER, _TEXT, _COUNT, _FLAG = "a number", "text", "a count", "true or false"
 _NUMBER_OR_NULL, _TEXT_OR_NULL, _OBJECT_OR_NULL = "a number or null", "text or null", "an object or null"
 _FITTED = {
@@ -67,7 +70,7 @@ _FITTED = {
     "jackknife_sigma": _NUMBER_OR_NULL, "at_bound": _FLAG,
     "determined": _FLAG,
 }  # fmt: skip
-_SHARED_NOISE = "level", "colour", "pointing_deg"
+_SHARED_NOISE = "level", "colour", "pointing_deg", "broad_level", "broad_colour"
 # a dict lists the keys that must be there; one of `_ANY` holds any keys, each of that form
 _ANY = "*"
 _FORM = {
@@ -111,7 +114,7 @@ _FORM = {
                     ("sample", *_SHARED_NOISE, "widening", "spectral_correlation", "angular_correlation"),
                     _NUMBER_OR_NULL,
                 ),
-                "share": dict.fromkeys(("sample", "level", "colour", "pointing"), _NUMBER_OR_NULL),
+                "share": dict.fromkeys(("sample", *KINDS), _NUMBER_OR_NULL),
             },
             "beam": [{"wavelength_nm": _NUMBER, "residual": _NUMBER}],
             "degrees_of_freedom": _NUMBER_OR_NULL,
@@ -143,7 +146,7 @@ def parse(path: Path) -> dict:
         found = record.get("schema") if isinstance(record, dict) else None
         raise ValueError(f'key `schema`: expected "{SCHEMA}", found {shown(found)}')
     if record.get("version") != VERSION:
-        advice = ", of an older skyfit: fit the sky again with it" if record.get("version") in (1, 2, 3) else ""
+        advice = ", of an older skyfit: fit the sky again with it" if record.get("version") in (1, 2, 3, 4) else ""
         raise ValueError(f"key `version`: expected {VERSION}, found {shown(record.get('version'))}{advice}")
     _check(record, _FORM, "")
     return record

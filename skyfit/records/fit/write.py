@@ -45,6 +45,8 @@ def record_of(fit: Fit) -> dict:
             "level": given.level,
             "colour": given.colour,
             "pointing_deg": None if given.pointing is None else np.degrees(given.pointing),
+            "broad_level": given.broad_level,
+            "broad_colour": given.broad_colour,
             "time_level": given.time_level,
         },
         "priors": {n: {"value": v, "sigma": s, "unit": PARAMETERS[n].unit} for n, (v, s) in fit.priors.items()},
@@ -128,13 +130,15 @@ def _time_record(fit: Fit, t: int, optics: dict[str, Derived]) -> dict:
 
 
 def _noise(fit: Fit, t: int) -> dict:
-    level, colour, pointing = fit.common[t]
+    level, colour, pointing, broad_level, broad_colour = fit.common[t]
     spectral, angular = fit.residual_correlation[t]
     return {
         "sample": fit.scale[t],
         "level": level,
         "colour": colour,
         "pointing_deg": np.degrees(pointing),
+        "broad_level": broad_level,
+        "broad_colour": broad_colour,
         "widening": fit.widening[t],
         "share": dict(zip(("sample", *KINDS), fit.error_share[t], strict=True)),
         "spectral_correlation": spectral,
