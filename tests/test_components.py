@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.optimize
 
 import skyfit
@@ -51,6 +52,14 @@ def dense(errors, found):
     return np.einsum("dce,dfe->dcf", common, common) + np.eye(CHANNELS) * own[..., None]
 
 
+def dense_of_all(errors, found):
+    """The covariance of all samples, with broad errors."""
+    whole = scipy.linalg.block_diag(*dense(errors, found))
+    broad = np.asarray(errors.broad) * np.asarray(found.common)[3:, None]
+    broad = broad.reshape(whole.shape[0], -1)
+    return whole + broad @ broad.T
+
+
 def drawn(errors, found, seed):
     factor = np.linalg.cholesky(dense(errors, found))
     return np.einsum("dcf,df->dc", factor, np.random.default_rng(seed).standard_normal(factor.shape[:2]))
@@ -90,6 +99,51 @@ def test_what_errors_in_common_move_has_their_covariance(x64, moves):
     moved = np.asarray(components.moved_by(wrong, sizes(found[0], *found[1:]), jnp.asarray(rows)))
     common = dense(wrong, sizes(found[0], *found[1:])) - dense(wrong, sizes(found[0], 0.0, 0.0, 0.0))
     np.testing.assert_allclose(moved.T @ moved, np.einsum("dcx,dcf,dfy->xy", rows, common, rows), rtol=1e-9, atol=1e-12)
+
+
+def test_what_broad_errors_move_has_their_covariance(x64):
+    wrong, found = errors(), sizes(1.0, 0.0, 0.0, 0.0, 0.03, 0.02)
+    rows = np.random.default_rng(3).standard_normal((DIRECTIONS, CHANNELS, 4))
+    moved = np.asarray(components.moved_by(wrong, found, jnp.asarray(rows)))
+    common = dense_of_all(wrong, found) - dense_of_all(wrong, sizes(1.0, 0.0, 0.0, 0.0))
+    rows = rows.reshape(-1, 4)
+    np.testing.assert_allclose(moved.T @ moved, rows.T @ common @ rows, rtol=1e-9)
+
+
+def test_a_broad_error_has_its_size_everywhere_and_neighbours_share_it(x64):
+    wrong, view = errors(), skyfit.hemisphere(DIRECTIONS)
+    level = np.asarray(wrong.broad[:, :, 0]) / np.asarray(wrong.common[..., :1])
+    shared = level[:, 0] @ level[:, 0].T
+    np.testing.assert_allclose(np.diagonal(shared), 1.0, rtol=1e-12)
+    zenith, azimuth = np.asarray(view.zenith), np.asarray(view.azimuth)
+    cosine = np.cos(zenith[:, None]) * np.cos(zenith) + np.sin(zenith[:, None]) * np.sin(zenith) * np.cos(
+        azimuth[:, None] - azimuth
+    )
+    assert shared[cosine > np.cos(0.3)].min() > 0.9 and shared[cosine < np.cos(1.8)].max() < 0.3
+
+
+@pytest.mark.parametrize("truth", [(0.04, 0.02), (0.02, 0.05)])
+def test_the_sizes_of_broad_errors_are_those_of_the_largest_restricted_likelihood(x64, truth):
+    wrong, rest = errors(), (1.2, 0.015, 0.01, 0.005)
+    whole, columns = dense_of_all(wrong, sizes(*rest, *truth)), some_columns(5)
+    residual = np.linalg.cholesky(whole) @ np.random.default_rng(4).standard_normal(whole.shape[0])
+    anything = Expected(jnp.full(5, 1e-3), jnp.full(5, 1e-9), jnp.array(0.1))
+    shaped = jnp.asarray(residual.reshape(DIRECTIONS, CHANNELS))
+    found = estimate(wrong, shaped, jnp.asarray(columns), anything, "squares")
+    held = np.flatnonzero(np.asarray(wrong.weight).ravel() > 0.0)
+    x, r = columns.reshape(-1, columns.shape[-1])[held], residual[held]
+
+    def cost(logs):
+        inverse = np.linalg.inv(dense_of_all(wrong, sizes(*np.exp(logs)))[np.ix_(held, held)])
+        normal, right = x.T @ inverse @ x, x.T @ inverse @ r
+        total = r @ inverse @ r - np.linalg.slogdet(inverse)[1] + np.linalg.slogdet(normal)[1]
+        return total - right @ np.linalg.solve(normal, right)
+
+    mine = np.log([found.sample, *found.common])
+    # no size is better where the others stay
+    for k in range(mine.size):
+        step = 0.05 * np.eye(mine.size)[k]
+        assert cost(mine) < min(cost(mine + step), cost(mine - step)) + 0.02, k
 
 
 def restricted_likelihood(errors, residual, columns, found):
