@@ -103,6 +103,7 @@ from .transport import (
     Spherical as Spherical,
     SphericalField as SphericalField,
     Stokes as Stokes,
+    ThickAirWarning as ThickAirWarning,
     Uniform as Uniform,
     upsample as upsample,
     Upsampled as Upsampled,

@@ -1,5 +1,6 @@
 """All orders on a sphere, from the ground to space and into the night."""
 
+from dataclasses import replace
 from functools import cache
 
 import jax
@@ -16,7 +17,7 @@ from skyfit.transport.columns import EARTH_RADIUS, slant_column, TOP_OF_AIR
 
 # few of everything: what these tests claim does not depend on resolution
 SMALL = Spherical(
-    levels=10, moments=4, up=4, flat=2, down=3, orders=3, sun_step=1.5,
+    levels=10, moments=4, up=4, flat=2, down=3, orders=4, sun_step=1.5,
     path_nodes=5, first_nodes=6, view_nodes=6, nodes=8,
 )  # fmt: skip
 VIEW = skyfit.Directions.from_degrees([0.0, 40.0, 75.0, 89.0, 91.0, 130.0], [0.0, 90.0, 180.0, 30.0, 30.0, 10.0])
@@ -92,14 +93,22 @@ def test_fine_orders_agree_by_day():
         assert np.median(np.abs(ours / theirs - 1.0)) < 2e-3
 
 
-@pytest.mark.parametrize("haze", (0.0, 0.2))
-def test_no_light_is_lost_over_the_globe(haze):
+@pytest.mark.parametrize(
+    "depth, haze, albedo, solver, within",
+    [
+        (0.3, 0.0, 0.5, Spherical.normal(), 1.5e-3),
+        (0.3, 0.2, 0.5, Spherical.normal(), 1.5e-3),
+        # with more of the nodes that thick air asks for
+        (10.0, 0.0, 1.0, Spherical(path_nodes=16), 1e-3),
+    ],
+)
+def test_no_light_is_lost_over_the_globe(x64, depth, haze, albedo, solver, within):
     """What leaves the air and what the ground takes are what the air takes of the beam."""
-    profile, depth, albedo = Exponential(8000.0), 0.3, 0.5
+    profile = Exponential(8000.0)
     atmosphere = haze_over_air(depth, haze, 0.6, 1.0, albedo, haze_height=8000.0)
     if haze == 0.0:
         atmosphere = atmosphere.replace(aerosol=None)
-    field = Spherical.normal().prepare(atmosphere, ONE)
+    field = solver.prepare(atmosphere, ONE)
     nodes, weights = np.polynomial.legendre.leggauss(60)
     zenith, weights = np.radians(60.0) * (nodes + 1.0), np.radians(60.0) * weights
     here = skyfit.Directions(np.zeros(1), np.zeros(1))
@@ -115,7 +124,32 @@ def test_no_light_is_lost_over_the_globe(haze):
     limb = 2.0 * (depth + haze) * slant_column(profile, jnp.asarray(height), jnp.zeros(height.size), "spherical")
     beam = EARTH_RADIUS**2 + 2.0 * np.trapezoid((EARTH_RADIUS + height) * -np.expm1(-np.asarray(limb)), height)
     found = 2.0 * (top**2 * weights @ out + EARTH_RADIUS**2 * weights @ taken)
-    assert found == pytest.approx(beam, rel=1.5e-3)
+    assert found == pytest.approx(beam, rel=within)
+
+
+def test_thick_air_has_more_orders_and_what_they_leave_over_is_said(x64):
+    thin, thick = haze_over_air(0.3, 0.1), haze_over_air(9.0, 0.0, ground=0.9).replace(aerosol=None)
+    one = jnp.asarray(ONE)
+    assert SMALL.suited(thin, one) == SMALL and SMALL.suited(thick, one).orders == 20
+    assert Spherical(orders=40).suited(thick, one).orders == 40
+    view = skyfit.Directions.from_degrees([0.0, 40.0, 75.0], [0.0, 90.0, 180.0])
+    field = SMALL.prepare(thick, ONE, sun_zenith=0.5)
+    settled = replace(SMALL, orders=40).prepare(thick, ONE, sun_zenith=0.5)
+    here = unit_scene(np.degrees(0.5), view)
+    np.testing.assert_allclose(field.radiance(here), settled.radiance(here), rtol=2e-3)
+    assert float(field.left_over[0]) < 0.01
+
+    # what is traced knows no number of orders, but what they leave over
+    @jax.jit
+    def by_few(optical_depth):
+        air = haze_over_air(optical_depth, 0.0, ground=0.9).replace(aerosol=None)
+        found = SMALL.prepare(air, ONE, sun_zenith=0.5)
+        return found.left_over, found.radiance(here)
+
+    left_over, light = by_few(9.0)
+    assert left_over[0] > 0.5 and np.all(np.isfinite(light))
+    with pytest.warns(skyfit.ThickAirWarning, match="32 orders of scattering leave over may be"):
+        SMALL.prepare(haze_over_air(300.0, 0.0, ground=1.0).replace(aerosol=None), ONE, sun_zenith=0.5)
 
 
 @pytest.mark.parametrize("sun", (50.0, 93.0))

@@ -119,6 +119,7 @@ def simulate(
             # said once, in the command's own words
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", LowSunWarning)
+                chosen = chosen.suited(air, scene.wavelength_nm)
                 kept = kept_radiance(chosen, air, scene, folder)
             said = low_sun(chosen, scene.sun_zenith)
             if said is not None:

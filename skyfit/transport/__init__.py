@@ -15,6 +15,7 @@ from .contract import (
     Path as Path,
     Stokes as Stokes,
     Suns as Suns,
+    ThickAirWarning as ThickAirWarning,
 )
 from .double import DoubleScattering as DoubleScattering
 from .orders import OrdersOfScattering as OrdersOfScattering

@@ -29,6 +29,10 @@ class LowSunWarning(UserWarning):
     """The sun stands in the last five degrees of what a solver knows; the message says how far its sky may be off."""
 
 
+class ThickAirWarning(UserWarning):
+    """What a solver leaves out of the orders of scattering may be more than three hundredths of the light."""
+
+
 class Suns(NamedTuple):
     """The suns whose skies a solver knows, and how well the last of them.
 
@@ -143,6 +147,14 @@ class AbstractSolver(Ranged):
     def doubt(self, atmosphere: Atmosphere) -> str | None:
         """What of an atmosphere the solver is further off for than it states, in words; None if nothing is."""
         return None
+
+    def suited(
+        self,
+        atmosphere: Atmosphere,
+        wavelength_nm: Float[Array, " wavelength"],
+    ) -> "AbstractSolver":
+        """The solver with as much of what costs time as the atmosphere asks for, where that is not traced."""
+        return self
 
     @abstractmethod
     def coarser(self) -> "AbstractSolver":

@@ -42,6 +42,14 @@ class SphericalField(eqx.Module):
     resolution: Resolution = eqx.field(static=True)
 
     @property
+    def left_over(self) -> Float[Array, " wavelength"]:
+        """About how much light the orders have that were not solved, of the diffuse light that was found.
+
+        Some times too large where it is small; where it is not small the light is not to be used.
+        """
+        return self.solution.left_over
+
+    @property
     def nbytes(self) -> int:
         """The size of what was solved."""
         return sum(table.nbytes for table in jax.tree.leaves(self.solution))

@@ -1,6 +1,8 @@
 """Multiple scattering in a spherical atmosphere, from the ground to space and from noon to deep twilight."""
 
 import math
+import warnings
+from dataclasses import replace
 from typing import ClassVar
 
 import equinox as eqx
@@ -24,6 +26,7 @@ from ..contract import (
     Path,
     SCALAR_ERROR,
     Suns,
+    ThickAirWarning,
 )
 from .field import Lit, SphericalField
 from .grid import Resolution, sun_coordinate
@@ -36,6 +39,11 @@ _AROUND, _AROUND_AT_NIGHT, _NIGHT = 8.0, 14.0, 100.0
 # the suns around one that is traced, whose place is not known; how many suns are solved around others
 _TRACED = 12
 _COUNTS = (6, 8, 10, 12, 16, 20, 28)
+# optical depth of scattering to which air is thin; orders that leave less than a thousandth of the light over, a ground
+# of albedo 1 below, and to which depth; so many for all that is thicker
+_THIN, _ORDERS, _MOST_ORDERS = 0.8, ((1.5, 8), (4.0, 12), (11.0, 20)), 32
+# told from then on: what is left over is found larger than it is
+_MOST_LEFT_OVER = 0.03
 
 
 class Spherical(AbstractSolver):
@@ -45,13 +53,15 @@ class Spherical(AbstractSolver):
     suns. That axis is one for the whole atmosphere: along a straight ray the angle to it stays, and only the azimuth
     of the place turns. Sunlight scattered once is integrated exactly over what is lit of each ray. Each further order
     takes the moments of the last one along curved paths, those of degree 3 and more, which haze alone has, by the
-    column over the place. What `orders` leave over follows as the last of them falls. Phase functions are cut by
+    column over the place. Of the orders the best combination is taken, as GMRES has it, and what it leaves over follows
+    as the last of them falls; more than 3 % of the light is a `ThickAirWarning`. Phase functions are cut by
     delta-M; single scattering uses the whole of them (TMS).
 
     `levels` of height; `moments` of the phase functions, even; `up`, `flat`, `down`, zenith angles of the rays of a
-    level to the sky, between its horizon and level views, and to the ground; `orders`; `sun_step`, degrees between suns
-    in twilight; `path_nodes` and `first_nodes` on rays from the levels, for diffuse light and for sunlight;
-    `view_nodes` and `nodes` the same on views.
+    level to the sky, between its horizon and level views, and to the ground; `orders`, of thin air: where an atmosphere
+    is not traced, thick air has up to 32 (`suited`); `sun_step`, degrees between suns in twilight; `path_nodes` and
+    `first_nodes` on rays from the levels, for diffuse light and for sunlight; `view_nodes` and `nodes` the same on
+    views.
 
     **Valid:** suns to 108 degrees, observers from the ground to space. Scalar light: what polarisation does to it is
     missing, as in a scalar `OrdersOfScattering`. Straight rays: refraction is left out. Layers that begin and end
@@ -116,6 +126,14 @@ class Spherical(AbstractSolver):
     def coarser(self) -> AbstractSolver:
         return Spherical.draft()
 
+    def suited(self, atmosphere: Atmosphere, wavelength_nm: Float[Array, " wavelength"]) -> "Spherical":
+        """This solver with as many `orders` as the optical depth of scattering asks for, where it is not traced."""
+        depth = concrete(_scattering_depth(atmosphere, wavelength_nm))
+        if depth is None or depth <= _THIN:
+            return self
+        need = next((count for most, count in _ORDERS if depth <= most), _MOST_ORDERS)
+        return self if need <= self.orders else replace(self, orders=need)
+
     def prepare(
         self,
         atmosphere: Atmosphere,
@@ -135,9 +153,18 @@ class Spherical(AbstractSolver):
         check_range("height", height, 0.0, 1e9, "m")
         check_range("sun_zenith", sun_zenith, 0.0, math.radians(_LOWEST_SUN), "rad", "Spherical: suns to 108 degrees")
         first, count, suns_deg, highest = self._window(sun_zenith, height)
-        solution, place = _solved(self._resolution(), atmosphere, wavelength_nm, as_float(first), count)
+        resolution = self.suited(atmosphere, wavelength_nm)._resolution()
+        solution, place = _solved(resolution, atmosphere, wavelength_nm, as_float(first), count)
+        left_over = concrete(solution.left_over)
+        if left_over is not None and left_over.size and left_over.max() > _MOST_LEFT_OVER:
+            warnings.warn(
+                f"what {resolution.orders} orders of scattering leave over may be {100.0 * left_over.max():.2g} % of "
+                "the light: more `orders` leave less",
+                ThickAirWarning,
+                stacklevel=2,
+            )
         answered = as_float(np.array(suns_deg)), as_float(highest)
-        return SphericalField(atmosphere, wavelength_nm, solution, place, *answered, self._resolution())
+        return SphericalField(atmosphere, wavelength_nm, solution, place, *answered, resolution)
 
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Radiance of sky and ground, W m^-2 sr^-1 nm^-1; zero below the horizon of an observer on the ground."""
@@ -199,6 +226,16 @@ class Spherical(AbstractSolver):
 def _dip(height: float) -> float:
     """How far away the horizon is, in degrees at the Earth's centre."""
     return math.degrees(math.acos(EARTH_RADIUS / (EARTH_RADIUS + min(height, 1e9))))
+
+
+@eqx.filter_jit
+def _scattering_depth(atmosphere: Atmosphere, wavelength_nm) -> Float[Array, ""]:
+    """The largest at any of the wavelengths."""
+    parts = [
+        c.optical_depth_at(wavelength_nm) * c.single_scattering_albedo_at(wavelength_nm)
+        for c in atmosphere.constituents
+    ]
+    return jnp.max(sum(parts, jnp.zeros_like(wavelength_nm)), initial=0.0)
 
 
 @eqx.filter_jit

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...atmosphere import Atmosphere
-from ...numerics import as_float, safe_sqrt
+from ...numerics import as_float, safe_sqrt, solve_upper, triangle
 from ..columns import EARTH_RADIUS
 from . import harmonics as sun_harmonics
 from .first import FEW_AZIMUTHS, first_order, spread_azimuths
@@ -19,6 +19,8 @@ from .medium import Medium, medium_of, ray_weights, RayWeights
 # the last order is followed by those that fall like it; no slower than this
 _SLOWEST = 0.95, 0.999
 _NO_LIGHT = 1e-15
+# of a change between orders, in roundings: what keeps those that are hardly different apart
+_GUARD = 1e4
 # levels and suns of the table that views read linearly, for one of the cubics': within some 1e-4 of them, and its kinks
 # make no step of the light in a series of suns
 FINER_LEVELS, FINER_SUNS = 4, 12
@@ -28,12 +30,14 @@ class Solution(NamedTuple):
     """The diffuse light of all orders per unit solar irradiance, over `dusk` of the sun.
 
     `moments` of the radiance; `ground`, diffuse irradiance on level ground; `fine`, the moments that travel,
-    `FINER_LEVELS` and `FINER_SUNS` times as many levels and suns: views read it linearly.
+    `FINER_LEVELS` and `FINER_SUNS` times as many levels and suns: views read it linearly; `left_over`, how much of the
+    mean light is that of the orders which were not solved.
     """
 
     moments: Float[Array, "level sun harmonic wavelength"]
     ground: Float[Array, "sun wavelength"]
     fine: Float[Array, "finelevel finesun travelling wavelength"]
+    left_over: Float[Array, " wavelength"]
 
 
 class Order(NamedTuple):
@@ -71,7 +75,8 @@ def solve(
     names = sun_harmonics.kept(resolution.moments, bool(medium.peaks))
     if not medium.scattering.shape[0]:
         shape = resolution.levels, *sun_place.shape, len(names), *wavelength_nm.shape
-        return _with_fine(jnp.zeros(shape), jnp.zeros((*sun_place.shape, *wavelength_nm.shape)), names)
+        dark = Order(jnp.zeros(shape), jnp.zeros((*sun_place.shape, *wavelength_nm.shape)))
+        return _solution(dark, jnp.zeros(wavelength_nm.shape), names)
     azimuths = resolution.moments + 1 if medium.peaks else FEW_AZIMUTHS
     azimuth = half_turn(azimuths)
     weights = ray_weights(atmosphere, medium, rays)
@@ -88,36 +93,70 @@ def solve(
         down = as_float(np.maximum(rays.zenith_cosine[0], 0.0))
         return Order(found, jnp.einsum("z,szaw->sw", down, weighted[:, 0]))
 
-    def step(carry, _):
-        last, total = carry
+    def step(last, _):
         now = moments(_carried(last, carrier, medium, rays, names, dusk(sun), azimuth))
-        return (now, jax.tree.map(jnp.add, total, now)), (_mean(last), _mean(now))
+        return now, now
 
     start = moments(first)
-    step = jax.checkpoint(step)
-    (last, total), (before, after) = jax.lax.scan(step, (start, start), length=resolution.orders - 1)
-    before, after = before[-1], after[-1]
+    _, later = jax.lax.scan(jax.checkpoint(step), start, length=resolution.orders - 1)
+    orders = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), start, later)
+    total, rest = _combined(orders)
+    more = _closure(orders)
+    more = Order(more[:, :, None] * rest.moments, more[0] * rest.ground)
+    left_over = jnp.sqrt(_squares(more.moments[:, :, 0]) / (_squares(total.moments[:, :, 0]) + _NO_LIGHT**2))
+    return _solution(jax.tree.map(jnp.add, total, more), left_over, names)
+
+
+def _squares(light: Float[Array, "*axes wavelength"]) -> Float[Array, " wavelength"]:
+    return jnp.sum(light**2, axis=tuple(range(light.ndim - 1)))
+
+
+def _combined(orders: Order) -> tuple[Order, Order]:
+    r"""The combination of sums of orders that is nearest to the sum of all, and the last order that is in it.
+
+    Of the orders $o_j$, `[order, ...]`, and their sums $s_j$ it is $\sum_j \gamma_j s_{j+1}$, each wavelength's own
+    $\gamma$ such that $\sum_j \gamma_j = 1$ and $|\sum_j \gamma_j o_{j+1}|$ is least, as GMRES has it.
+    **Source:** reduced rank extrapolation, Sidi 2017, Vector Extrapolation Methods with Applications, ch. 2.
+    """
+    flat = [o.reshape(o.shape[0], -1, o.shape[-1]) for o in (orders.moments[1:, :, :, 0], orders.ground[1:])]
+    off = jnp.concatenate(flat, axis=1).T
+    found = jax.vmap(_nearest)(off[..., -1:] - off[..., :-1], off[..., -1]).T
+    share = jnp.concatenate([found, 1.0 - jnp.sum(found, axis=0, keepdims=True)])
+    # an order is in its own sum and those after it
+    within = jnp.concatenate([jnp.ones_like(share[:1]), jnp.cumsum(share[::-1], axis=0)[::-1]])
+    total = jax.tree.map(lambda o: jnp.einsum("jw,j...w->...w", within, o), orders)
+    rest = jax.tree.map(lambda o: jnp.einsum("jw,j...w->...w", share, o[1:]), orders)
+    return total, rest
+
+
+def _nearest(columns: Float[Array, "place column"], goal: Float[Array, " place"]) -> Float[Array, " column"]:
+    """The combination of columns that is nearest to the goal."""
+    count = columns.shape[1]
+    size = jnp.sqrt(jnp.sum(columns**2, axis=0)) + _NO_LIGHT
+    rows = jnp.concatenate([columns / size[None], goal[:, None]], axis=1)
+    held = jnp.eye(count, count + 1, dtype=rows.dtype) * (_GUARD * jnp.finfo(rows.dtype).eps)
+    whole = triangle(jnp.concatenate([rows, held]))[:count]
+    return solve_upper(whole[:, :count], whole[:, count]) / size
+
+
+def _closure(orders: Order) -> Float[Array, "level sun wavelength"]:
+    """What orders after the last add, in units of it: they fall as it falls."""
+    before, after = orders.moments[-2, :, :, 0], orders.moments[-1, :, :, 0]
     some = before > _NO_LIGHT
     # no place falls more slowly than thick air does as a whole, or than this
     whole = jnp.sum(after, axis=(0, 1)) / jnp.maximum(jnp.sum(before, axis=(0, 1)), _NO_LIGHT)
     slowest = jnp.clip(whole, *_SLOWEST)[None, None]
     ratio = jnp.clip(jnp.where(some, after / jnp.where(some, before, 1.0), 0.0), 0.0, slowest)
-    more = ratio / (1.0 - ratio)
-    whole = total.moments + more[:, :, None] * last.moments, total.ground + more[0] * last.ground
-    return _with_fine(*whole, names)
+    return ratio / (1.0 - ratio)
 
 
-def _with_fine(moments, ground, names) -> Solution:
+def _solution(light: Order, left_over, names) -> Solution:
     def finer(count: int, times: int):
         return as_float(cubic_weights(np.arange(times * (count - 1) + 1) / times, count))
 
-    levels, suns = finer(moments.shape[0], FINER_LEVELS), finer(moments.shape[1], FINER_SUNS)
-    travelling = moments[:, :, : sun_harmonics.travelling(names)]
-    return Solution(moments, ground, jnp.einsum("il,js,lshw->ijhw", levels, suns, travelling))
-
-
-def _mean(order: Order):
-    return order.moments[:, :, 0]
+    levels, suns = finer(light.moments.shape[0], FINER_LEVELS), finer(light.moments.shape[1], FINER_SUNS)
+    travelling = light.moments[:, :, : sun_harmonics.travelling(names)]
+    return Solution(*light, jnp.einsum("il,js,lshw->ijhw", levels, suns, travelling), left_over)
 
 
 def _carrier(rays: Rays, names, azimuth, sun_place, sun, resolution: Resolution, weights) -> Carrier:
