@@ -176,7 +176,8 @@ class Sampling:
         return result
 
 
-@eqx.filter_jit
+# runs once or twice: what XLA's further passes gain is less than they take
+@eqx.filter_jit(compiler_options={"xla_backend_optimization_level": 1})
 def _read(solver, model, one: Problem):
     return observe(solver, model, one)[0]
 
