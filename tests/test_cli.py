@@ -9,9 +9,10 @@ import xarray
 from skies import fit_of_made_sky
 
 import skyfit
-from skyfit.cli import app, known, programs
+from skyfit import programs
+from skyfit.cli import app, known
 from skyfit.cli.fit_report import print_fit
-from skyfit.cli.models import turbidity_of
+from skyfit.cli.models import kept_radiance, turbidity_of
 from skyfit.retrieve import PARAMETERS, PARTICLE_FREE, SLOW, values_of
 
 
@@ -419,7 +420,9 @@ def test_a_kept_program_gives_the_same_sky(tmp_path, monkeypatch):
     def sky(turbidity=2.0, count=5, kept=solver):
         scene = skyfit.Scene.from_degrees(40.0, skyfit.hemisphere(count), np.array([450.0, 550.0]))
         atmosphere = skyfit.Atmosphere.from_turbidity(turbidity)
-        found = programs.kept_radiance(kept, atmosphere, scene, str(tmp_path / "new"))
+        programs.keep_in(tmp_path / "new")
+        found = kept_radiance(kept, atmosphere, scene)
+        programs.keep_in(None)
         np.testing.assert_allclose(found, kept.radiance(atmosphere, scene), rtol=1e-5)
         return sorted((tmp_path / "new").iterdir())
 

@@ -22,6 +22,7 @@ FLOORS = (
     {"scene"},
     {"atmosphere"},
     {"transport", "measured"},
+    {"programs"},
     {"analytic", "retrieve"},
     {"records"},
     {"draw", "image"},

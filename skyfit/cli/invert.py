@@ -78,8 +78,11 @@ def invert_command(
     """
     from math import radians
 
+    import jax
+
     from ..draw import plot
     from ..measured import mask_sun as without_sun, NoiseModel
+    from ..programs import keep_in
     from ..records import save
     from ..retrieve import invert
     from .asked import free_of, priors_of, response_of, shared_of, smooth_of, start_of, times_of, values_of_fix
@@ -109,6 +112,7 @@ def invert_command(
     # all orders know a coarser solver themselves
     first = None if solver == "orders" else make_solver(solver, PresetName.draft, geometry, vector)
     check_folder(out)
+    keep_in(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
     with progress("compiling and fitting") as report:
         fit = invert(
             measured, asked, last, start, progress=report, shared=common, measurement=measurement, response=channels,

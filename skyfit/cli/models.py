@@ -20,8 +20,17 @@ from ..atmosphere import (
     Rayleigh,
     turbidity_from_range,
 )
+from ..programs import kept
+from ..scene import Scene
 from ..transport import AbstractSolver, OrdersOfScattering, SOLVERS
 from .options import GeometryName, in_range, PresetName
+
+
+def _radiance(solver: AbstractSolver, atmosphere: Atmosphere, scene: Scene):
+    return solver.radiance(atmosphere, scene)
+
+
+kept_radiance = kept(_radiance, lambda *_: 0)
 
 
 def make_solver(name: str, preset: PresetName, geometry: GeometryName, polarised: bool = False) -> AbstractSolver:

@@ -88,11 +88,20 @@ def simulate(
     from ..measured import read_directions, Sky, STATION_RANGES, write_sky
     from ..measured.station import day_of_year
     from ..measured.writing import skyfit_version
+    from ..programs import keep_in
     from ..scene import Directions, hemisphere, Scene
-    from ..transport import low_sun, LowSunWarning
-    from .models import in_words, make_atmosphere, make_solver, precision, settings_of, turbidity_of, wavelengths_of
+    from ..transport import check_scene, low_sun, LowSunWarning
+    from .models import (
+        in_words,
+        kept_radiance,
+        make_atmosphere,
+        make_solver,
+        precision,
+        settings_of,
+        turbidity_of,
+        wavelengths_of,
+    )
     from .printing import console, notices, progress
-    from .programs import kept_radiance
     from .sun import sun_of
 
     given = None if atmosphere is None else _given_atmosphere(context, atmosphere)
@@ -115,16 +124,18 @@ def simulate(
     scene = Scene.from_degrees(zenith, view, spectrum, azimuth, day, fwhm_nm=fwhm, irradiance=irradiance)
     with progress("simulating"):
         if analytic is None:
-            folder = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+            keep_in(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
             # said once, in the command's own words
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", LowSunWarning)
                 chosen = chosen.suited(air, scene.wavelength_nm)
-                kept = kept_radiance(chosen, air, scene, folder)
+                # what is traced is not checked
+                check_scene(chosen, air, scene)
+                found = kept_radiance(chosen, air, scene)
             said = low_sun(chosen, scene.sun_zenith)
             if said is not None:
                 notices.print(f"note: {said}", highlight=False, markup=False, soft_wrap=True)
-            radiance, model = np.asarray(kept, float), in_words(chosen)
+            radiance, model = np.asarray(found, float), in_words(chosen)
             made_by = {"solver": settings_of(chosen), "atmosphere": describe(air)}
         else:
             radiance, model = np.asarray(analytic.radiance(haze, scene), float), type(analytic).__name__

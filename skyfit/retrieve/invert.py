@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import equinox as eqx
 import numpy as np
 
+from .. import programs
 from ..measured import NoiseModel, Response, Sky
 from ..numerics import as_float
 from ..numerics.chain import Point
@@ -14,7 +15,7 @@ from .parameters import PARAMETERS
 from .prepared import check, first_points, fittable, Prepared, prepared
 from .report import fit_of
 from .result import Fit
-from .retrieve import retrieve
+from .retrieve import retrieve, shape_of
 from .uncertainty import Estimate
 
 
@@ -122,4 +123,4 @@ def _jackknifed(asked: Prepared, times: np.ndarray, found: Estimate, groups: int
     return np.sqrt((groups - 1) * np.var(np.stack(left), axis=0))
 
 
-_retrieve = eqx.filter_jit(retrieve)
+_retrieve = programs.kept(retrieve, shape_of)

@@ -1,12 +1,12 @@
 """A measured sky as arrays that a fit takes, and what a model says of each sample."""
 
-import equinox as eqx
 import numpy as np
 
 from ..light.solar import SPECTRUM_NM
 from ..measured import LineShape, NoiseModel, Response, Seen, Sky, sun_factor
 from ..measured.quality.line_shape import estimate_fwhm
 from ..numerics import as_float
+from ..programs import kept
 from ..transport import AbstractSolver
 from .forward import observe, Problem
 from .model import SkyModel
@@ -176,10 +176,12 @@ class Sampling:
         return result
 
 
-# runs once or twice: what XLA's further passes gain is less than they take
-@eqx.filter_jit(compiler_options={"xla_backend_optimization_level": 1})
-def _read(solver, model, one: Problem):
+def _reading(solver, model, one: Problem):
     return observe(solver, model, one)[0]
+
+
+# runs once or twice: what XLA's further passes gain is less than they take
+_read = kept(_reading, lambda *_: 0, compiler_options={"xla_backend_optimization_level": 1})
 
 
 def scale_at(wavelength_nm: np.ndarray, fitted_nm: np.ndarray, calibration: np.ndarray) -> np.ndarray:
