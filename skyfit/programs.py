@@ -28,7 +28,7 @@ class _Shelf:
 
 
 def keep_in(folder: str | os.PathLike | None) -> None:
-    """Keeps programs of `kept` functions in a folder from now on, where XLA's compiled code may be too; None: no more."""
+    """Keeps programs of `kept` functions in a folder from now on, where XLA may keep its own; None: no more."""
     _Shelf.folder = None if folder is None else Path(folder)
     _Shelf.programs = {}
 
