@@ -446,6 +446,26 @@ def test_a_kept_program_gives_the_same_sky(tmp_path, monkeypatch):
     assert sky() == []
 
 
+def test_kept_programs_give_the_same_fit(tmp_path, monkeypatch):
+    plain = fit_of_made_sky.__wrapped__()
+    try:
+        programs.keep_in(tmp_path)
+        made = fit_of_made_sky.__wrapped__()
+        functions = sorted(path.name.split("-")[0] for path in tmp_path.glob("*.exported"))
+        assert set(functions) == {"left_over", "reading", "retrieve"}
+        # as in another process, which traces nothing
+        programs.keep_in(tmp_path)
+        monkeypatch.setattr(programs.export, "export", None)
+        read = fit_of_made_sky.__wrapped__()
+    finally:
+        programs.keep_in(None)
+    for fit in (made, read):
+        assert fit.result == plain.result and fit.undetermined == plain.undetermined
+        np.testing.assert_allclose(fit.values, plain.values, rtol=1e-4)
+        np.testing.assert_allclose(fit.sigma, plain.sigma, rtol=1e-3)
+        np.testing.assert_allclose(fit.model, plain.model, rtol=1e-4)
+
+
 def test_what_the_help_knows_is_what_the_floors_beneath_have():
     assert known.SOLVER_NAMES == tuple(skyfit.transport.SOLVERS)
     assert known.PARAMETER_NAMES == tuple(PARAMETERS)
