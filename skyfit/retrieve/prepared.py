@@ -33,8 +33,9 @@ from .sampling import Sampling
 
 # spread of the logistic numbers of random starts: most of each range, not its ends
 _START_SPREAD = 1.5
-# of the noise, or more, is the samples' own: where it is stated, and where it is assumed
-_LEAST_STATED, _LEAST_ASSUMED = 1.0, 0.2
+# of the stated noise, or more, is the samples' own: with less, what is left on a real sky, which is smooth, passes for
+# pointing errors of degrees, and for broad errors twice as large as halves of directions show them
+_LEAST = 1.0
 # wavelengths that tell the sizes of particles: so many, and the longest by the shortest
 _MANY_WAVELENGTHS, _WIDE = 3, 1.5
 
@@ -80,7 +81,6 @@ class Prepared:
         """What `retrieve` takes besides the samples, the model, the names and the priors."""
         given = self.measurement.model_error
         sizes, strength = self.measurement.shared_errors()
-        least = _LEAST_STATED if self.measurement.stated(self.sky) else _LEAST_ASSUMED
         return {
             "solver": self.solver,
             "slopes": self.slopes,
@@ -89,7 +89,7 @@ class Prepared:
             "threshold": as_float(self.measurement.threshold),
             "model_error": as_float(self.solver.model_error if given is None else given),
             "max_steps": jnp.asarray(self.max_steps),
-            "expected": Expected(as_float(sizes), as_float(strength), as_float(least)),
+            "expected": Expected(as_float(sizes), as_float(strength), as_float(_LEAST)),
             "level": as_float(self.measurement.time_level),
         }
 
