@@ -66,9 +66,11 @@ from .records import (
     read_coefficients as read_coefficients,
     read_fits as read_fits,
     save as save,
+    write_products as write_products,
 )
 from .retrieve import (
     aerosol_optics as aerosol_optics,
+    aerosol_products as aerosol_products,
     fisher_information as fisher_information,
     Fit as Fit,
     Fits as Fits,

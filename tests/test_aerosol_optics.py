@@ -1,9 +1,13 @@
 """What follows from a fitted haze: optical depths, exponents, albedos and radii, with their uncertainty."""
 
 import json
+from dataclasses import replace
 
+import jax
 import numpy as np
+import pandas
 import pytest
+import xarray
 from made_skies import as_sky, by_hand, EXACT, FREE, PLAIN, SOLVER
 
 import skyfit
@@ -37,6 +41,78 @@ def start():
 
 def fitted(sky, start):
     return skyfit.invert(sky, SPHERES, SOLVER, start, measurement=EXACT, guess=False)
+
+
+@pytest.fixture(scope="module")
+def fit(start):
+    with jax.enable_x64(True):
+        return fitted(sky_of_spheres(0), start)
+
+
+def test_products_are_the_optics_at_the_fitted_wavelengths(x64, fit):
+    products, optics = skyfit.aerosol_products(fit), skyfit.aerosol_optics(fit)
+    np.testing.assert_array_equal(products.wavelength, fit.fitted_nm)
+    there = skyfit.aerosol_products(fit, np.array([440.0, 675.0, 870.0]))
+    for name in ("aerosol_optical_depth", "single_scattering_albedo", "asymmetry"):
+        known = [optics[f"{name}_{nm}"] for nm in (440, 675, 870)]
+        np.testing.assert_allclose(there[name][0], [float(k.value[0]) for k in known], rtol=1e-9)
+        np.testing.assert_allclose(there[f"{name}_sigma"][0], [float(k.sigma[0]) for k in known], rtol=1e-6)
+    depth, albedo = products.aerosol_optical_depth, products.single_scattering_albedo
+    np.testing.assert_allclose(products.absorption_optical_depth, depth * (1.0 - albedo), rtol=1e-9)
+    # the index is held fixed, the depth is not
+    np.testing.assert_allclose(products.refractive_index, 1.40, rtol=1e-6)
+    assert np.all(products.refractive_index_sigma == 0.0)
+    # 550 nm, where the optical depth is the parameter
+    at = skyfit.aerosol_products(fit, np.array([550.0]))
+    place = fit.free.index("aerosol_optical_depth")
+    assert at.aerosol_optical_depth.item() == pytest.approx(fit.values[0, place], rel=1e-6)
+    assert at.aerosol_optical_depth_sigma.item() == pytest.approx(fit.sigma[0, place], rel=1e-4)
+
+
+def test_the_size_distribution_holds_the_volumes_and_its_sigma_is_that_of_the_parameters(x64, fit):
+    radius = np.geomspace(0.005, 100.0, 2001)
+    products = skyfit.aerosol_products(fit, radius_um=radius)
+    density = products.volume_size_distribution[0].values
+    for name, part in (("fine_volume", radius < 0.75), ("coarse_volume", radius > 0.75)):
+        found = np.trapezoid(density[part], np.log(radius[part]))
+        assert found == pytest.approx(products[name].item(), rel=0.05), name
+    whole = products.fine_volume.item() + products.coarse_volume.item()
+    assert np.trapezoid(density, np.log(radius)) == pytest.approx(whole, rel=1e-4)
+    surface = 3.0 * np.trapezoid(density / radius, np.log(radius))
+    assert 3.0 * whole / surface == pytest.approx(products.effective_radius.item(), rel=1e-3)
+    # the fine radius alone moved by its sigma, the others with it as they are correlated
+    row, place = fit.values[0].copy(), fit.free.index("fine_radius")
+    row = row + fit.covariance[0, place] / fit.sigma[0, place]
+    moved = replace(fit, values=row[None])
+    change = skyfit.aerosol_products(moved, radius_um=radius).volume_size_distribution[0] - density
+    assert np.all(np.abs(change) <= 1.1 * products.volume_size_distribution_sigma[0] + 1e-6)
+
+
+@pytest.mark.parametrize("name", ["aerosol.nc", "aerosol.csv"])
+def test_products_are_read_back(x64, fit, name, tmp_path):
+    products = skyfit.aerosol_products(fit)
+    skyfit.write_products(products, tmp_path / name)
+    if name.endswith("nc"):
+        with xarray.open_dataset(tmp_path / name) as back:
+            xarray.testing.assert_allclose(back.load(), products)
+        return
+    table = pandas.read_csv(tmp_path / name)
+    assert set(table.quantity) == {n for n in products if not n.endswith("_sigma")}
+    depth = table[table.quantity == "aerosol_optical_depth"]
+    np.testing.assert_allclose(depth.wavelength_nm, fit.fitted_nm, rtol=1e-6)
+    np.testing.assert_allclose(depth.value, products.aerosol_optical_depth[0], rtol=1e-6)
+    np.testing.assert_allclose(depth.sigma, products.aerosol_optical_depth_sigma[0], rtol=1e-3)
+    sizes = table[table.quantity == "volume_size_distribution"]
+    assert len(sizes) == 22 and set(sizes.unit) == {"um3/um2"} and sizes.wavelength_nm.isna().all()
+
+
+def test_products_say_what_they_cannot(x64, fit, tmp_path):
+    with pytest.raises(ValueError, match="wavelength"):
+        skyfit.aerosol_products(fit, np.array([200.0]))
+    with pytest.raises(ValueError, match="`radius_um` must be"):
+        skyfit.aerosol_products(fit, radius_um=np.zeros(1))
+    with pytest.raises(ValueError, match="expected a suffix of .nc or .csv, found '.txt'"):
+        skyfit.write_products(skyfit.aerosol_products(fit), tmp_path / "aerosol.txt")
 
 
 def test_an_angstrom_haze_has_the_optics_that_its_laws_say(x64):

@@ -57,6 +57,9 @@ def invert_command(
     jackknife: Annotated[
         bool, typer.Option("--jackknife", help="sigma also from ten fits that leave out directions by turns")
     ] = False,
+    products: Annotated[
+        bool, typer.Option("--products", help="the haze at the fitted wavelengths too: aerosol.csv, aerosol.nc")
+    ] = False,
     mask_sun: Annotated[float | None, typer.Option(help="leave out samples within so many degrees of the sun")] = None,
     times: Times = None,
     response: ResponseOption = None,
@@ -83,8 +86,8 @@ def invert_command(
     from ..draw import plot
     from ..measured import mask_sun as without_sun, NoiseModel
     from ..programs import keep_in
-    from ..records import save
-    from ..retrieve import invert
+    from ..records import save, write_products
+    from ..retrieve import aerosol_products, invert
     from .asked import free_of, priors_of, response_of, shared_of, smooth_of, start_of, times_of, values_of_fix
     from .fit_report import print_fit
     from .models import make_solver
@@ -122,8 +125,14 @@ def invert_command(
     save(fit, out / "fit.json")
     save(fit, out / "fit.nc")
     plot(fit, out / "fit.png")
+    names = ["fit.json", "fit.nc", "fit.png"]
+    if products:
+        stated = aerosol_products(fit)
+        for name in ("aerosol.nc", "aerosol.csv"):
+            write_products(stated, out / name)
+            names.append(name)
     print_fit(fit)
-    written = ", ".join(str(out / f"fit.{end}") for end in ("json", "nc", "png"))
+    written = ", ".join(str(out / name) for name in names)
     console.print(f"written: {written}", highlight=False)
 
 

@@ -1,4 +1,8 @@
-from .aerosol_optics import aerosol_optics as aerosol_optics, Derived as Derived
+from .aerosol_optics import (
+    aerosol_optics as aerosol_optics,
+    aerosol_products as aerosol_products,
+    Derived as Derived,
+)
 from .batch import Fits as Fits
 from .design import (
     Choice as Choice,

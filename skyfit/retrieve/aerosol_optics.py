@@ -1,21 +1,28 @@
 """What a fit says of the haze beyond its own parameters: optical depths, exponents, albedos, radii and their errors."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, ArrayLike, Float
 
 from ..atmosphere import TwoModeAerosol
-from ..numerics import as_float
+from ..numerics import as_float, check_range
 from .model import SkyModel
 from .parameters import with_values
 from .result import Fit
 
 
+if TYPE_CHECKING:
+    import xarray
+
 # nm, where sun photometers state them (AERONET's almucantars)
 _WAVELENGTHS = (440.0, 675.0, 870.0)
+# um, where AERONET states size distributions (Dubovik & King 2000, J. Geophys. Res. 105, 20673)
+AERONET_RADII = np.geomspace(0.05, 15.0, 22)
+_INDEX = "refractive_index", "absorption_index"
 
 
 class Derived(NamedTuple):
@@ -37,37 +44,119 @@ def aerosol_optics(fit: Fit) -> dict[str, Derived]:
     $\sqrt{G C G^T}$ with the parameters' covariance C and the gradient G: what is held fixed has no error here.
     **Valid:** the wavelengths of a fit; beyond them the numbers follow from the model's laws.
     """
-    atmosphere = fit.start.atmosphere
-    if "aerosol" not in atmosphere or atmosphere.aerosol.phase is None or not atmosphere.aerosol.smooth_in_wavelength:
+    if not _has_optics(fit):
         return {}
+    found = _with_sigma(fit, _numbers)
+    return {name: Derived(value, sigma, _unit(name)) for name, (value, sigma) in found.items()}
+
+
+def aerosol_products(
+    fit: Fit,
+    wavelength_nm: Float[ArrayLike, " wavelength"] | None = None,
+    radius_um: Float[ArrayLike, " radius"] | None = None,
+) -> "xarray.Dataset":
+    r"""What a photometer's network states of a haze, at the instrument's own wavelengths, each number with its sigma.
+
+    By `time` and `wavelength` (nm): `aerosol_optical_depth`, `absorption_optical_depth`, `single_scattering_albedo`,
+    `asymmetry`, and of spheres `refractive_index` and `absorption_index`. Of spheres by `time` and `radius` (um):
+    `volume_size_distribution`, $dV/d\ln r$ of the column in um^3/um^2; by `time`: `fine_volume`, `coarse_volume`
+    (um^3/um^2), `fine_effective_radius`, `coarse_effective_radius`, `effective_radius` (um). `<name>_sigma` of each, as
+    `aerosol_optics` has it.
+
+    **Arguments:** `fit`; `wavelength_nm`, default those that were fitted, or 440, 675 and 870 where channels were;
+    `radius_um`, default AERONET's 22 from 0.05 to 15.
+    **Returns:** a dataset, which `to_netcdf` and `write_products` write. **Errors:** `ValueError` for a haze without
+    such optics, for wavelengths that it does not know, and for radii of 0 or less.
+    """
+    import xarray
+
+    if not _has_optics(fit):
+        raise ValueError("`fit` must be of a haze whose optics follow from parameters, got one given per wavelength")
+    usual = fit.fitted_nm if fit.response is None else _WAVELENGTHS
+    wavelength = as_float(usual if wavelength_nm is None else wavelength_nm)
+    radius = as_float(AERONET_RADII if radius_um is None else radius_um)
+    fit.start.atmosphere.check_wavelengths(wavelength)
+    check_range("radius_um", radius, 1e-3, 1e3, "um")
+    found = _with_sigma(fit, lambda model: _products(model, wavelength, radius))
+    axes = {"wavelength": ("wavelength", np.asarray(wavelength, float), {"units": "nm"})}
+    if "volume_size_distribution" in found:
+        axes["radius"] = "radius", np.asarray(radius, float), {"units": "um"}
+    variables = {}
+    for name, (value, sigma) in found.items():
+        along = ("time", "radius") if name == "volume_size_distribution" else ("time", "wavelength")[: value.ndim]
+        about = {"units": "um3/um2" if "volume" in name else _unit(name)}
+        variables[name], variables[f"{name}_sigma"] = (along, value, about), (along, sigma, about)
+    return xarray.Dataset(variables, {"time": fit.sky.time} | axes)
+
+
+def _has_optics(fit: Fit) -> bool:
+    atmosphere = fit.start.atmosphere
+    named = "aerosol" in atmosphere and atmosphere.aerosol.phase is not None
+    return named and atmosphere.aerosol.smooth_in_wavelength
+
+
+def _with_sigma(fit: Fit, numbers: Callable[[SkyModel], dict]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Numbers of a model by name, each of any shape, at each time of a fit, and their sigma."""
     # in the dtype of this process, whatever that of the fit was
     start = jax.tree.map(lambda leaf: as_float(np.asarray(leaf)), fit.start)
-    values, names = as_float(fit.values), tuple(jax.eval_shape(_numbers, start))
+    shapes = {name: leaf.shape for name, leaf in jax.eval_shape(numbers, start).items()}
+    ends = np.cumsum([int(np.prod(shape)) for shape in shapes.values()])
 
-    def numbers(row):
-        by_name = _numbers(with_values(start, fit.free, row))
-        return jnp.stack([by_name[name] for name in names])
+    def row_of(row):
+        by_name = numbers(with_values(start, fit.free, row))
+        return jnp.concatenate([by_name[name].reshape(-1) for name in shapes])
 
-    found = np.asarray(jax.lax.map(numbers, values), float)
-    gradient = np.asarray(jax.lax.map(jax.jacfwd(numbers), values), float)
+    values = as_float(fit.values)
+    found = np.asarray(jax.lax.map(row_of, values), float)
+    gradient = np.asarray(jax.lax.map(jax.jacfwd(row_of), values), float)
     known = np.where(np.isfinite(fit.covariance), fit.covariance, 0.0)
     variance = np.einsum("tqp,tpr,tqr->tq", gradient, known, gradient)
     # a parameter of which nothing is known leaves nothing known of what depends on it
     open_ended = ~np.isfinite(np.einsum("tpp->tp", fit.covariance))
     touched = np.any((gradient != 0.0) & open_ended[:, None], axis=2)
     sigma = np.where(touched, np.inf, np.sqrt(np.maximum(variance, 0.0)))
-    return {name: Derived(found[:, i], sigma[:, i], _unit(name)) for i, name in enumerate(names)}
+    parts = (np.split(part, ends[:-1], axis=1) for part in (found, sigma))
+    return {
+        name: (value.reshape(-1, *shape), error.reshape(-1, *shape))
+        for (name, shape), value, error in zip(shapes.items(), *parts, strict=True)
+    }
 
 
 def _unit(name: str) -> str:
     return "um" if name.endswith("radius") else "1"
 
 
+def _spectra(aerosol, wavelength: Float[Array, " wavelength"]):
+    """Optical depth, albedo and asymmetry."""
+    depth, albedo = aerosol.optical_depth_at(wavelength), aerosol.single_scattering_albedo_at(wavelength)
+    return depth, albedo, jnp.broadcast_to(aerosol.phase.moments(2, wavelength)[1], wavelength.shape)
+
+
+def _radii(aerosol: TwoModeAerosol) -> dict:
+    names = "fine_effective_radius", "coarse_effective_radius", "effective_radius"
+    return {name: getattr(aerosol, name) for name in names}
+
+
+def _products(model: SkyModel, wavelength, radius) -> dict:
+    aerosol = model.atmosphere.aerosol
+    depth, albedo, asymmetry = _spectra(aerosol, wavelength)
+    found = {
+        "aerosol_optical_depth": depth, "absorption_optical_depth": depth * (1.0 - albedo),
+        "single_scattering_albedo": albedo, "asymmetry": asymmetry,
+    }  # fmt: skip
+    if not isinstance(aerosol, TwoModeAerosol):
+        return found
+    volumes = aerosol.volumes
+    modes = zip((aerosol.fine_radius, aerosol.coarse_radius), (aerosol.fine_width, aerosol.coarse_width), strict=True)
+    shapes = [jnp.exp(-0.5 * (jnp.log(radius / r) / w) ** 2) / (w * np.sqrt(2.0 * np.pi)) for r, w in modes]
+    found |= {name: jnp.broadcast_to(getattr(aerosol, name), depth.shape) for name in _INDEX}
+    found["volume_size_distribution"] = volumes[0] * shapes[0] + volumes[1] * shapes[1]
+    return found | {"fine_volume": volumes[0], "coarse_volume": volumes[1]} | _radii(aerosol)
+
+
 def _numbers(model: SkyModel) -> dict:
     aerosol = model.atmosphere.aerosol
-    wavelength = as_float(_WAVELENGTHS)
-    depth, albedo = aerosol.optical_depth_at(wavelength), aerosol.single_scattering_albedo_at(wavelength)
-    asymmetry = jnp.broadcast_to(aerosol.phase.moments(2, wavelength)[1], wavelength.shape)
+    depth, albedo, asymmetry = _spectra(aerosol, as_float(_WAVELENGTHS))
     numbers = {
         f"{name}_{nm:.0f}": rows[i]
         for name, rows in (
@@ -79,10 +168,4 @@ def _numbers(model: SkyModel) -> dict:
     safe = jnp.where(depth > 0.0, depth, 1.0)
     slope = jnp.log(safe[0] / safe[-1]) / np.log(_WAVELENGTHS[-1] / _WAVELENGTHS[0])
     numbers["angstrom_exponent_440_870"] = slope
-    if isinstance(aerosol, TwoModeAerosol):
-        numbers |= {
-            "fine_effective_radius": aerosol.fine_effective_radius,
-            "coarse_effective_radius": aerosol.coarse_effective_radius,
-            "effective_radius": aerosol.effective_radius,
-        }
-    return numbers
+    return numbers | _radii(aerosol) if isinstance(aerosol, TwoModeAerosol) else numbers

@@ -1,0 +1,49 @@
+"""The products of a haze as files that others read."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..measured import atomic
+
+
+if TYPE_CHECKING:
+    import xarray
+
+_COLUMNS = "time", "quantity", "wavelength_nm", "radius_um", "value", "sigma", "unit"
+
+
+def write_products(products: "xarray.Dataset", path: str | os.PathLike) -> None:
+    """What `aerosol_products` states, as NetCDF 4 (`*.nc`) or as a table (`*.csv`) with a row for each number.
+
+    The columns are time (UTC), quantity, wavelength_nm, radius_um, value, sigma (inf: not determined) and unit; what a
+    quantity does not depend on is empty. **Errors:** `ValueError` for another suffix, and where nothing can be written,
+    in which case an older file stays.
+    """
+    path = Path(path)
+    if path.suffix not in (".nc", ".csv"):
+        raise ValueError(f"{path.name}: expected a suffix of .nc or .csv, found {path.suffix!r}")
+    with atomic(path) as part:
+        if path.suffix == ".nc":
+            products.to_netcdf(part, engine="h5netcdf")
+        else:
+            part.write_text(_table(products), encoding="utf-8")
+
+
+def _table(products: "xarray.Dataset") -> str:
+    lines = [",".join(_COLUMNS)]
+    times = [np.datetime_as_string(time, unit="s") for time in products["time"].values]
+    for name in products:
+        if str(name).endswith("_sigma"):
+            continue
+        values, sigmas = products[name], products[f"{name}_sigma"].values
+        axis = values.dims[1] if len(values.dims) > 1 else None
+        places = [""] if axis is None else [f"{place:.9g}" for place in products[axis].values]
+        for t, time in enumerate(times):
+            rows = np.atleast_1d(values.values[t]), np.atleast_1d(sigmas[t])
+            for place, value, sigma in zip(places, *rows, strict=True):
+                where = (place, "") if axis == "wavelength" else ("", place)
+                lines.append(",".join([time, str(name), *where, f"{value:.9g}", f"{sigma:.4g}", values.attrs["units"]]))
+    return "\n".join(lines) + "\n"
