@@ -4,6 +4,7 @@ import hashlib
 import os
 from collections.abc import Callable
 from contextlib import suppress
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +25,15 @@ class _Shelf:
     """Where this process keeps programs, if anywhere, and those that it has made or read."""
 
     folder: Path | None = None
+    sources: str = ""
     programs: dict[str, Callable] = {}
 
 
 def keep_in(folder: str | os.PathLike | None) -> None:
     """Keeps programs of `kept` functions in a folder from now on, where XLA may keep its own; None: no more."""
     _Shelf.folder = None if folder is None else Path(folder)
+    # of what is loaded now, whatever happens to the files later
+    _Shelf.sources = "" if folder is None else _sources_digest()
     _Shelf.programs = {}
 
 
@@ -38,19 +42,21 @@ def kept(function: Callable, answer: Callable[..., Any], **compiling: Any) -> Ca
 
     **Arguments:** `function` of trees of numbers and of what is static, which gives arrays; `answer`, of the same
     arguments, any tree of the structure of what it gives; `compiling`, as `jax.jit` takes it.
-    **Returns:** a function of the same arguments. What is traced passes through it as through `jax.jit`.
-    **Valid:** a program holds for one state of skyfit's sources and of JAX, one backend, and one structure, shape and
-    static part of the arguments; its name says which.
+    **Returns:** a function of the same arguments; of what is traced it is `function` itself.
+    **Valid:** a program holds for one state of skyfit's sources and of what is beneath them, one backend and precision,
+    and one structure, shape and static part of the arguments; its name says which.
     """
     plain = eqx.filter_jit(function, **compiling)
 
     def call(*given, **named):
         numbers, rest = eqx.partition((given, named), lambda v: isinstance(v, jax.Array | np.ndarray))
         leaves, structure = jax.tree.flatten(numbers)
-        if _Shelf.folder is None or any(isinstance(leaf, Tracer) for leaf in leaves):
+        if any(isinstance(leaf, Tracer) for leaf in leaves):
+            return function(*given, **named)
+        if _Shelf.folder is None:
             return plain(*given, **named)
         shapes = [(leaf.shape, str(leaf.dtype)) for leaf in leaves]
-        asked = _digest((jax.__version__, jax.default_backend(), rest, structure, shapes))
+        asked = _digest((*_beneath(), rest, structure, shapes))
         expected = jax.tree.structure(answer(*given, **named))
 
         def flat(*leaves):
@@ -59,7 +65,7 @@ def kept(function: Callable, answer: Callable[..., Any], **compiling: Any) -> Ca
             assert jax.tree.structure(found) == expected, f"{function.__name__} gives another structure than `answer`"
             return jax.tree.leaves(found)
 
-        name = f"{function.__name__.strip('_')}-{_sources_digest()}-{asked}"
+        name = f"{function.__name__.strip('_')}-{_Shelf.sources}-{asked}"
         if name not in _Shelf.programs:
             program = _read(_Shelf.folder / f"{name}.exported")
             if program is None:
@@ -90,6 +96,12 @@ def _leave(program: export.Exported, folder: Path, name: str) -> None:
     for old in folder.glob(f"{function}-*.exported"):
         if not old.name.startswith(f"{function}-{sources}-"):
             old.unlink(missing_ok=True)
+
+
+def _beneath() -> tuple:
+    """What a program is made by besides skyfit."""
+    versions = [version(name) for name in ("jax", "jaxlib", "equinox", "optimistix")]
+    return *versions, jax.default_backend(), jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _sources_digest() -> str:

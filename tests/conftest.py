@@ -112,11 +112,12 @@ def skyfit_command(python: Callable) -> Callable:
 
 
 @pytest.fixture(autouse=True)
-def unchecked(request: pytest.FixtureRequest) -> Iterator[None]:
+def checked_unless_slow(request: pytest.FixtureRequest) -> Iterator[None]:
     """Slow tests call what the others call: types and shapes, a sixth of a test's time, are checked in the others."""
-    jaxtyping.config.update("jaxtyping_disable", request.node.get_closest_marker("slow") is not None)
+    before = jaxtyping.config.jaxtyping_disable
+    jaxtyping.config.update("jaxtyping_disable", before or request.node.get_closest_marker("slow") is not None)
     yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+    jaxtyping.config.update("jaxtyping_disable", before)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ PLAIN = np.arange(400.0, 681.0, 20.0)
 # noise alone in sigma
 EXACT = skyfit.NoiseModel(model_error=0.0)
 # and of each sample alone
-OWN_NOISE = skyfit.NoiseModel(model_error=0.0, level=0.0, colour=0.0, pointing=0.0)
+OWN_NOISE = skyfit.NoiseModel(model_error=0.0, level=0.0, colour=0.0, pointing=0.0, broad_level=0.0, broad_colour=0.0)
 
 
 def by_hand(

@@ -26,6 +26,13 @@ SPHERES = (
 WAVELENGTHS = "420:680:20"
 
 
+@pytest.fixture(autouse=True)
+def nothing_kept():
+    """A command that was called in this process keeps programs from then on."""
+    yield
+    programs.keep_in(None)
+
+
 @pytest.fixture(scope="session")
 def chain(skyfit_command, tmp_path_factory):
     """A sky simulated and inverted: the folder with sky.nc and fit/, and what the two calls printed."""
@@ -36,7 +43,7 @@ def chain(skyfit_command, tmp_path_factory):
     )  # fmt: skip
     inverted = skyfit_command(
         "invert", "sky.nc", "--free", "turbidity, angstrom_exponent", "--solver", "single", "--geometry", "flat",
-        "--preset", "draft", "--out", "fit", cwd=folder,
+        "--preset", "draft", "--products", "--out", "fit", cwd=folder,
     )  # fmt: skip
     return folder, simulated.stdout, inverted.stdout
 
@@ -84,6 +91,11 @@ def test_invert_gives_the_turbidity_back(chain):
     assert "RMSE over all" in printed and "60.00" in printed and "180.00" in printed
     assert "all of these are determined by the data" in printed
     assert narrow(printed)
+    assert "aerosol.csv" in printed
+    rows = (folder / "fit" / "aerosol.csv").read_text().splitlines()
+    # of four quantities, at each wavelength that was fitted
+    assert rows[0].startswith("time,quantity,wavelength_nm") and (len(rows) - 1) % 4 == 0
+    assert rows[1].split(",")[1] == "absorption_optical_depth" and (folder / "fit" / "aerosol.nc").exists()
 
 
 def test_fit_json_has_the_keys_of_its_schema(chain):
@@ -422,7 +434,6 @@ def test_a_kept_program_gives_the_same_sky(tmp_path, monkeypatch):
         atmosphere = skyfit.Atmosphere.from_turbidity(turbidity)
         programs.keep_in(tmp_path / "new")
         found = kept_radiance(kept, atmosphere, scene)
-        programs.keep_in(None)
         np.testing.assert_allclose(found, kept.radiance(atmosphere, scene), rtol=1e-5)
         return sorted((tmp_path / "new").iterdir())
 
@@ -448,17 +459,14 @@ def test_a_kept_program_gives_the_same_sky(tmp_path, monkeypatch):
 
 def test_kept_programs_give_the_same_fit(tmp_path, monkeypatch):
     plain = fit_of_made_sky.__wrapped__()
-    try:
-        programs.keep_in(tmp_path)
-        made = fit_of_made_sky.__wrapped__()
-        functions = sorted(path.name.split("-")[0] for path in tmp_path.glob("*.exported"))
-        assert set(functions) == {"left_over", "reading", "retrieve"}
-        # as in another process, which traces nothing
-        programs.keep_in(tmp_path)
-        monkeypatch.setattr(programs.export, "export", None)
-        read = fit_of_made_sky.__wrapped__()
-    finally:
-        programs.keep_in(None)
+    programs.keep_in(tmp_path)
+    made = fit_of_made_sky.__wrapped__()
+    functions = sorted(path.name.split("-")[0] for path in tmp_path.glob("*.exported"))
+    assert set(functions) == {"left_over", "reading", "retrieve"}
+    # as in another process, which traces nothing
+    programs.keep_in(tmp_path)
+    monkeypatch.setattr(programs.export, "export", None)
+    read = fit_of_made_sky.__wrapped__()
     for fit in (made, read):
         assert fit.result == plain.result and fit.undetermined == plain.undetermined
         np.testing.assert_allclose(fit.values, plain.values, rtol=1e-4)

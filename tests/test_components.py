@@ -146,6 +146,18 @@ def test_the_sizes_of_broad_errors_are_those_of_the_largest_restricted_likelihoo
         assert cost(mine) < min(cost(mine + step), cost(mine - step)) + 0.02, k
 
 
+def test_what_the_others_hold_is_a_broad_error_where_it_is_broad(x64):
+    """A parameter that all times share explains nothing of one time's residual, whatever its slopes."""
+    wrong = errors()
+    level = np.asarray(wrong.common[..., 0])
+    residual = drawn(wrong, sizes(1.0, 0.0, 0.0, 0.0), 3) + 0.05 * level
+    anything = Expected(jnp.array([5e-4, 3e-4, 2e-4, 5e-4, 3e-4]), jnp.ones(5), jnp.array(1.0))
+    given = wrong, jnp.asarray(residual), jnp.asarray(level[..., None]), jnp.zeros(1), anything, "huber"
+    held, moved = (components.estimate(*given, jnp.array(3.0), moves) for moves in (False, True))
+    assert held.common[3] > 0.02 and held.common[0] < 0.01
+    assert moved.common[3] < 2e-3 and moved.common[0] < 2e-3
+
+
 def restricted_likelihood(errors, residual, columns, found):
     """Minus twice its logarithm, by dense algebra (Patterson & Thompson 1971)."""
     whole, total, normal, right = dense(errors, found), 0.0, 0.0, 0.0

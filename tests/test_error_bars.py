@@ -36,9 +36,9 @@ def clean():
 
 def question(clean, **changes):
     """Noise is each sample's alone, and known to be: sizes that are estimated cover more (`error_bars.json`)."""
-    changes = {"level": 0.0, "colour": 0.0, "pointing": 0.0} | changes
+    none = dict.fromkeys(("level", "colour", "pointing", "broad_level", "broad_colour"), 0.0)
     sky = as_sky(clean, NOISE, wavelength_nm=NM, time=np.array(["NaT"], "datetime64[ns]"))
-    return prepared(sky, FREE, SOLVER, measurement=skyfit.NoiseModel(model_error=MODEL_ERROR, **changes))
+    return prepared(sky, FREE, SOLVER, measurement=skyfit.NoiseModel(model_error=MODEL_ERROR, **none | changes))
 
 
 @eqx.filter_jit

@@ -336,7 +336,7 @@ def test_times_that_share_nothing_have_all_parameters_and_scales_of_their_own(fi
 
 def test_what_was_asked_for_is_told(fit, tmp_path):
     asked = NoiseModel(
-        0.01, 0.02, 0.03, 0.004, np.radians(5.0), "cauchy", 2.0, 0.02, 0.01, np.radians(0.2), 0.03, 0.04, 0.005
+        0.01, 0.02, 0.03, 0.004, np.radians(5.0), "cauchy", 2.0, 0.02, 0.01, np.radians(0.2), 0.005, 0.03, 0.04
     )
     weight = fit.weight.copy()
     weight[1, 4] = [0.2, 0.4, np.nan]

@@ -130,14 +130,23 @@ def test_no_light_is_lost_over_the_globe(x64, depth, haze, albedo, solver, withi
 def test_thick_air_has_more_orders_and_what_they_leave_over_is_said(x64):
     thin, thick = haze_over_air(0.3, 0.1), haze_over_air(9.0, 0.0, ground=0.9).replace(aerosol=None)
     one = jnp.asarray(ONE)
-    assert SMALL.suited(thin, one) == SMALL and SMALL.suited(thick, one).orders == 20
+    assert SMALL.suited(thin, one) == SMALL and SMALL.suited(thick, one).orders == 32
     assert Spherical(orders=40).suited(thick, one).orders == 40
     view = skyfit.Directions.from_degrees([0.0, 40.0, 75.0], [0.0, 90.0, 180.0])
+    assert SMALL.doubt(thin) is None and "orders of Spherical are few" in SMALL.doubt(thick)
+    assert SMALL.suited(thick, one).doubt(thick) is None
     field = SMALL.prepare(thick, ONE, sun_zenith=0.5)
     settled = replace(SMALL, orders=40).prepare(thick, ONE, sun_zenith=0.5)
     here = unit_scene(np.degrees(0.5), view)
     np.testing.assert_allclose(field.radiance(here), settled.radiance(here), rtol=2e-3)
     assert float(field.left_over[0]) < 0.01
+
+    # and in the precision of most
+    with jax.enable_x64(False):
+        air = haze_over_air(9.0, 0.0, ground=0.9).replace(aerosol=None)
+        low = skyfit.Directions.from_degrees([0.0, 40.0, 75.0], [0.0, 90.0, 180.0])
+        single = SMALL.radiance(air, unit_scene(np.degrees(0.5), low))
+    np.testing.assert_allclose(single, settled.radiance(here), rtol=5e-3)
 
     # what is traced knows no number of orders, but what they leave over
     @jax.jit
@@ -150,6 +159,18 @@ def test_thick_air_has_more_orders_and_what_they_leave_over_is_said(x64):
     assert left_over[0] > 0.5 and np.all(np.isfinite(light))
     with pytest.warns(skyfit.ThickAirWarning, match="32 orders of scattering leave over may be"):
         SMALL.prepare(haze_over_air(300.0, 0.0, ground=1.0).replace(aerosol=None), ONE, sun_zenith=0.5)
+
+
+@pytest.mark.parametrize("depth", (0.0, 1e-6))
+def test_derivatives_are_finite_where_hardly_anything_scatters(depth):
+    scene = unit_scene(40.0, skyfit.Directions.from_degrees([20.0], [0.0]))
+
+    def light(depth):
+        air = haze_over_air(depth, 0.0, ground=0.0).replace(aerosol=None)
+        return jnp.sum(SMALL.prepare(air, ONE, sun_zenith=0.7).radiance(scene))
+
+    value, slope = jax.jit(jax.value_and_grad(light))(depth)
+    assert np.isfinite(value) and slope > 0.0
 
 
 @pytest.mark.parametrize("sun", (50.0, 93.0))

@@ -132,9 +132,9 @@ def simulate(
                 # what is traced is not checked
                 check_scene(chosen, air, scene)
                 found = kept_radiance(chosen, air, scene)
-            said = low_sun(chosen, scene.sun_zenith)
-            if said is not None:
-                notices.print(f"note: {said}", highlight=False, markup=False, soft_wrap=True)
+            for said in (low_sun(chosen, scene.sun_zenith), chosen.doubt(air)):
+                if said is not None:
+                    notices.print(f"note: {said}", highlight=False, markup=False, soft_wrap=True)
             radiance, model = np.asarray(found, float), in_words(chosen)
             made_by = {"solver": settings_of(chosen), "atmosphere": describe(air)}
         else:

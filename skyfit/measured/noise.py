@@ -14,8 +14,8 @@ Loss = Literal["squares", "huber", "cauchy"]
 # where a file gives none, of each sample and of the time's median radiance: where the sizes of a fit's residuals begin
 # (experiments/studies/measured_sky.py)
 _RELATIVE, _FLOOR = 0.02, 0.05
-# what errors in common are taken for before the residuals are seen, in the order of their names in `NoiseModel`, and
-# for how many directions that counts: small, so that skies without any keep their error bars
+# what errors in common are taken for before the residuals are seen, in the order that `shared_errors` has, and for how
+# many directions, or bumps of a broad error, that counts: small, so that skies without any keep their error bars
 _TAKEN, _STRENGTH = (5e-4, 3e-4, 2e-4, 5e-4, 3e-4), 1.0
 # the calibration's prior where the noise is not known either
 _CALIBRATION = 0.01
@@ -56,9 +56,9 @@ class NoiseModel:
     level: float | None = None
     colour: float | None = None
     pointing: float | None = None
+    time_level: float = 0.0
     broad_level: float | None = None
     broad_colour: float | None = None
-    time_level: float = 0.0
 
     def __post_init__(self):
         for name, low, high in (
@@ -93,7 +93,7 @@ class NoiseModel:
         return np.maximum(result, least if least > 0.0 else 1.0)
 
     def shared_errors(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """What is taken for errors in common, and for how many directions that counts; inf: given."""
+        """What is taken for errors in common, and how much that counts; inf: given."""
         given = self.level, self.colour, self.pointing, self.broad_level, self.broad_colour
         sizes = tuple(t if g is None else g for g, t in zip(given, _TAKEN, strict=True))
         return sizes, tuple(_STRENGTH if g is None else float("inf") for g in given)

@@ -46,7 +46,7 @@ _VARIABLES = {
     "samples": (_BY_TIME, "1", "how many those are"),
     "reduced_chi_square": (_BY_TIME, "1", "of all samples and the stated noise"),
     "scale": (_BY_TIME, "1", "the samples' own noise, in what was stated"),
-    "common": (_BY_KIND, None, "errors that the wavelengths of a direction share; pointing in radians"),
+    "common": (_BY_KIND, None, "errors in common, as `kind` names them; pointing in radians"),
     "widening": (_BY_TIME, "1", "factor by which samples that are trusted less widen sigma"),
     "degrees_of_freedom": (_BY_TIME, "1", "parameters that the data determine, not the priors"),
     "calibration": (_BY_WAVELENGTH, "1", "the instrument's scale"),

@@ -54,7 +54,8 @@ class Components(NamedTuple):
 class Expected(NamedTuple):
     """What is taken for the components before the residuals are seen.
 
-    `common` in the order of `KINDS`, with the number of directions that each counts for: infinite where it is given;
+    `common` in the order of `KINDS`, with the number of directions, or bumps of a broad error, that each counts for:
+    infinite where it is given;
     `least` of the samples' own over what is stated.
     """
 
@@ -253,16 +254,22 @@ def estimate(
     broad = errors.broad.reshape(*residual.shape, -1).astype(columns.dtype)
     columns = jnp.concatenate([columns, broad], axis=-1)
     samples = jnp.concatenate([columns, residual[..., None]], axis=-1)
-    follow = jnp.where(jnp.arange(columns.shape[-1]) < fitted, float(moves), 1.0).astype(columns.dtype)
 
     def one_pass(_, found: Components) -> Components:
         rows = whiten(whitening(errors, found), samples)
         near = _near(rows[..., -1], furthest)
         tight = 1.0 / jnp.maximum(found.common[_ALONE:], _LEAST_BROAD)
         tied = jnp.concatenate([prior, jnp.repeat(tight, _BUMPS)])
-        spread, step = _profiled((near[..., None] * rows).reshape(-1, rows.shape[-1]), tied)
-        found = _with_broad(found, spread[fitted:], step[fitted:], expected)
-        moved = residual + columns @ (follow * step)
+        rows = (near[..., None] * rows).reshape(-1, rows.shape[-1])
+        spread, step = _profiled(rows, tied)
+        if moves:
+            found = _with_broad(found, spread[fitted:], step[fitted:], expected)
+        else:
+            # as far as the parameters stay where they are
+            least, own = _profiled(rows[:, fitted:], tied[fitted:])
+            found = _with_broad(found, least, own, expected)
+            step = jnp.concatenate([jnp.zeros(fitted, step.dtype), own])
+        moved = residual + columns @ step
         left = jnp.concatenate([whole * moved[..., None], columns @ spread], axis=-1)
         trusted = jnp.all(near[:, :COMMON], axis=1, keepdims=True) & near[:, COMMON:] & (errors.weight > 0.0)
         trusted = trusted.astype(residual.dtype)

@@ -38,7 +38,7 @@ class Numbers(NamedTuple):
     """Settings that are traced: another value compiles nothing.
 
     `threshold` of the loss in standard deviations; `model_error`, relative; `max_steps` of each search; `expected`
-    sizes of the errors that the wavelengths of a direction share; `level`, relative, of an error common to a time.
+    sizes of the errors in common; `level`, relative, of an error common to a time.
     """
 
     threshold: Float[Array, ""]

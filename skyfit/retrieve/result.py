@@ -38,9 +38,8 @@ class Fit:
       `reduced_chi_square` `[time]` is of all samples and the stated noise
     - the kinds of noise: `scale` `[time]`, the samples' own, in what was stated; `common` `[time, kind]`, what all
       wavelengths of a direction share: relative level and colour, and pointing in radians, and what a broad part of the
-      sky shares: relative level and colour; `error_share` `[time,
-      kind]`, of the samples' own and of each of these in the squares of all; `widening` `[time]`, by how much sigma is
-      more than these say, because samples are trusted less
+      sky shares: relative level and colour; `error_share` `[time, kind]`, of the samples' own and of each of these in
+      the squares of all; `widening` `[time]`, by how much more sigma is, because samples are trusted less
     - `residual_correlation` `[time, 2]` of what is left beyond them, with the next wavelength and the nearest direction
     - `beam_residual` `[time, fitted wavelength]`: model minus measured direct beam (or optical depth) over its sigma,
       NaN where none was measured

@@ -49,8 +49,8 @@ def retrieve(
     unconstrained numbers in that order, `own` `[start, time, parameter]` and `shared` `[start, shared]` (default: the
     model's values): the search goes from each of them, and once more from the best end with the noise that it left;
     `loss` beyond `threshold` standard deviations; `model_error`, relative; `max_steps` of each search; `expected` sizes
-    of the errors that the wavelengths of a direction share (default: none are), which widen the covariance; `level`,
-    the relative size of an error that a whole time shares. Numbers may be traced, names and solvers are static.
+    of the errors in common (default: there are none), which widen the covariance; `level`, the relative size of an
+    error that a whole time shares. Numbers may be traced, names and solvers are static.
     **Returns:** an `Estimate`, parameters in the order of `free`. Nothing is raised: `result` and `finite` tell.
     **Valid:** the search's cost is linear in the number of times, that of the covariance quadratic. The derivative by
     the samples and by what is fixed is that of Gauss-Newton: exact where the residuals vanish, off by their share

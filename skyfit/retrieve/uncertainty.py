@@ -54,7 +54,7 @@ class Estimate(NamedTuple):
     `values` and covariances are in the order of the free names, in the parameters' stated units. `noise` is the
     covariance by noise of all kinds, priors included, `model` that by the model's stated error and that of a whole
     time's level. `triangle` has the scaled Jacobian's singular values.
-    `scale`: the samples' own noise over what is stated; `common`: that of directions, in the order of `KINDS`;
+    `scale`: the samples' own noise over what is stated; `common`: that in common, in the order of `KINDS`;
     `widening`: by how much more `noise` is widened, because the loss trusts some less; `chi_square` is of all samples
     and the stated noise. `error_share` of each kind of error, the samples' own first, in the squares of all together.
     `residual_correlation` of what is left, between neighbours in wavelength and in direction.

@@ -41,9 +41,11 @@ _TRACED = 12
 _COUNTS = (6, 8, 10, 12, 16, 20, 28)
 # optical depth of scattering to which air is thin; orders that leave less than a thousandth of the light over, a ground
 # of albedo 1 below, and to which depth; so many for all that is thicker
-_THIN, _ORDERS, _MOST_ORDERS = 0.8, ((1.5, 8), (4.0, 12), (11.0, 20)), 32
+_THIN, _ORDERS, _MOST_ORDERS = 0.8, ((1.5, 8), (4.0, 12), (8.0, 20), (20.0, 32)), 32
 # told from then on: what is left over is found larger than it is
 _MOST_LEFT_OVER = 0.03
+# where `doubt` looks
+_DOUBTED_NM = 400.0
 
 
 class Spherical(AbstractSolver):
@@ -54,8 +56,8 @@ class Spherical(AbstractSolver):
     of the place turns. Sunlight scattered once is integrated exactly over what is lit of each ray. Each further order
     takes the moments of the last one along curved paths, those of degree 3 and more, which haze alone has, by the
     column over the place. Of the orders the best combination is taken, as GMRES has it, and what it leaves over follows
-    as the last of them falls; more than 3 % of the light is a `ThickAirWarning`. Phase functions are cut by
-    delta-M; single scattering uses the whole of them (TMS).
+    as the last of them falls: more than 3 % of the light is a `ThickAirWarning` where an atmosphere is not traced. Phase
+    functions are cut by delta-M; single scattering uses the whole of them (TMS).
 
     `levels` of height; `moments` of the phase functions, even; `up`, `flat`, `down`, zenith angles of the rays of a
     level to the sky, between its horizon and level views, and to the ground; `orders`, of thin air: where an atmosphere
@@ -133,6 +135,17 @@ class Spherical(AbstractSolver):
             return self
         need = next((count for most, count in _ORDERS if depth <= most), _MOST_ORDERS)
         return self if need <= self.orders else replace(self, orders=need)
+
+    def doubt(self, atmosphere: Atmosphere) -> str | None:
+        shortest = as_float(np.array([_DOUBTED_NM]))
+        depth = concrete(_scattering_depth(atmosphere, shortest))
+        known = max([_THIN, *(most for most, count in _ORDERS if count <= self.orders)])
+        if depth is None or depth <= known:
+            return None
+        return (
+            f"air of a scattering depth of {depth:.2g} at {_DOUBTED_NM:g} nm, for which {self.orders} orders of "
+            f"Spherical are few: they do to {known:g}"
+        )
 
     def prepare(
         self,

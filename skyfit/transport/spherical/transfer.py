@@ -20,7 +20,7 @@ from .medium import Medium, medium_of, ray_weights, RayWeights
 _SLOWEST = 0.95, 0.999
 _NO_LIGHT = 1e-15
 # of a change between orders, in roundings: what keeps those that are hardly different apart
-_GUARD = 1e4
+_GUARD = 100.0
 # levels and suns of the table that views read linearly, for one of the cubics': within some 1e-4 of them, and its kinks
 # make no step of the light in a series of suns
 FINER_LEVELS, FINER_SUNS = 4, 12
@@ -103,7 +103,7 @@ def solve(
     total, rest = _combined(orders)
     more = _closure(orders)
     more = Order(more[:, :, None] * rest.moments, more[0] * rest.ground)
-    left_over = jnp.sqrt(_squares(more.moments[:, :, 0]) / (_squares(total.moments[:, :, 0]) + _NO_LIGHT**2))
+    left_over = safe_sqrt(_squares(more.moments[:, :, 0]) / (_squares(total.moments[:, :, 0]) + _NO_LIGHT**2))
     return _solution(jax.tree.map(jnp.add, total, more), left_over, names)
 
 
@@ -130,13 +130,21 @@ def _combined(orders: Order) -> tuple[Order, Order]:
 
 
 def _nearest(columns: Float[Array, "place column"], goal: Float[Array, " place"]) -> Float[Array, " column"]:
-    """The combination of columns that is nearest to the goal."""
+    """The combination of columns that is nearest to the goal; none of columns that hold nothing."""
     count = columns.shape[1]
-    size = jnp.sqrt(jnp.sum(columns**2, axis=0)) + _NO_LIGHT
+    square = jnp.sum(columns**2, axis=0)
+    some = square > _NO_LIGHT**2
+    size = jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 1.0)
+    largest = jnp.max(jnp.abs(goal))
+    lit = largest > _NO_LIGHT
+    # anything that is not 0, whose length has a slope
+    goal = jnp.where(lit, goal / jnp.where(lit, largest, 1.0), 1.0)
     rows = jnp.concatenate([columns / size[None], goal[:, None]], axis=1)
-    held = jnp.eye(count, count + 1, dtype=rows.dtype) * (_GUARD * jnp.finfo(rows.dtype).eps)
+    # and a unit of its own for what is empty
+    guard = jnp.where(some, _GUARD * jnp.finfo(rows.dtype).eps, 1.0)
+    held = jnp.eye(count, count + 1, dtype=rows.dtype) * guard[:, None]
     whole = triangle(jnp.concatenate([rows, held]))[:count]
-    return solve_upper(whole[:, :count], whole[:, count]) / size
+    return jnp.where(lit, solve_upper(whole[:, :count], whole[:, count]) * largest / size, 0.0)
 
 
 def _closure(orders: Order) -> Float[Array, "level sun wavelength"]:
