@@ -56,8 +56,8 @@ class Spherical(AbstractSolver):
     of the place turns. Sunlight scattered once is integrated exactly over what is lit of each ray. Each further order
     takes the moments of the last one along curved paths, those of degree 3 and more, which haze alone has, by the
     column over the place. Of the orders the best combination is taken, as GMRES has it, and what it leaves over follows
-    as the last of them falls: more than 3 % of the light is a `ThickAirWarning` where an atmosphere is not traced. Phase
-    functions are cut by delta-M; single scattering uses the whole of them (TMS).
+    as the last of them falls: more than 3 % of the light is a `ThickAirWarning` where an atmosphere is not traced.
+    Phase functions are cut by delta-M; single scattering uses the whole of them (TMS).
 
     `levels` of height; `moments` of the phase functions, even; `up`, `flat`, `down`, zenith angles of the rays of a
     level to the sky, between its horizon and level views, and to the ground; `orders`, of thin air: where an atmosphere
