@@ -138,7 +138,8 @@ def test_fit_json_has_the_keys_of_its_schema(chain):
 
 def test_fit_nc_and_png_go_with_it(chain):
     folder, _, _ = chain
-    assert sorted(path.name for path in (folder / "fit").iterdir()) == ["fit.json", "fit.nc", "fit.png"]
+    written = ["aerosol.csv", "aerosol.nc", "fit.json", "fit.nc", "fit.png"]
+    assert sorted(path.name for path in (folder / "fit").iterdir()) == written
     sky = skyfit.read(folder / "sky.nc")
     with xarray.open_dataset(folder / "fit" / "fit.nc") as fields:
         assert fields["model"].dims == fields["residual"].dims == ("time", "direction", "wavelength")
