@@ -49,7 +49,7 @@ def test_a_wavelength_that_is_too_bright_is_found_and_does_no_harm(x64, sky):
     bright[:, :, 0] *= 1.03
     wrong = replace(sky, radiance=bright)
     # nothing but the calibration is to explain it
-    alone = {"level": 0.0, "colour": 0.0, "pointing": 0.0, "loss": "squares"}
+    alone = dict.fromkeys(("level", "colour", "pointing", "broad_level", "broad_colour"), 0.0) | {"loss": "squares"}
     kept, found = fitted(wrong, **alone), fitted(wrong, calibration=0.01, **alone)
     assert found.result == ("successful",)
     assert np.all(kept.calibration == 1.0) and np.all(kept.calibration_sigma == 0.0)
