@@ -141,7 +141,7 @@ RANGES = [
         {
             "relative": (0.0, 1.0), "floor": (0.0, 1.0), "calibration": (0.0, 1.0), "model_error": (0.0, 1.0),
             "field_of_view": (0.0, 0.5), "threshold": (0.5, 1e3), "level": (0.0, 1.0), "colour": (0.0, 1.0),
-            "pointing": (0.0, 0.2), "time_level": (0.0, 1.0),
+            "pointing": (0.0, 0.2), "time_level": (0.0, 1.0), "broad_level": (0.0, 1.0), "broad_colour": (0.0, 1.0),
         },
     ),
     (
