@@ -56,7 +56,8 @@ def kept(function: Callable, answer: Callable[..., Any], **compiling: Any) -> Ca
         if _Shelf.folder is None:
             return plain(*given, **named)
         shapes = [(leaf.shape, str(leaf.dtype)) for leaf in leaves]
-        asked = _digest((*_beneath(), rest, structure, shapes))
+        double = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+        asked = _digest((double, rest, structure, shapes))
         expected = jax.tree.structure(answer(*given, **named))
 
         def flat(*leaves):
@@ -98,14 +99,11 @@ def _leave(program: export.Exported, folder: Path, name: str) -> None:
             old.unlink(missing_ok=True)
 
 
-def _beneath() -> tuple:
-    """What a program is made by besides skyfit."""
-    versions = [version(name) for name in ("jax", "jaxlib", "equinox", "optimistix")]
-    return *versions, jax.default_backend(), jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
-
-
 def _sources_digest() -> str:
-    return _digest(sorted((str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in _sources()))
+    """Of skyfit's files, and of what is beneath them."""
+    files = sorted((str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in _sources())
+    beneath = [version(name) for name in ("jax", "jaxlib", "equinox", "optimistix")]
+    return _digest((files, beneath, jax.default_backend()))
 
 
 def _sources():
