@@ -83,6 +83,19 @@ def test_light_meets_the_monte_carlo_from_the_ground_to_space_and_from_noon_to_n
         assert np.median(np.abs(errors[chosen])) <= {0.007: 0.002, 0.015: 0.005, 0.04: 0.018}[most]
 
 
+def test_light_order_by_order():
+    """The first two orders over a black ground are those of another solver; all together they are the light."""
+    air = haze_over_air(0.2, 0.0, 0.0, 1.0, 0.0).replace(aerosol=None)
+    scene = unit_scene(50.0, skyfit.Directions.from_degrees([0.0, 40.0, 75.0], [0.0, 90.0, 180.0]))
+    field = Spherical.normal().prepare(air, ONE, sun_zenith=scene.sun_zenith)
+    orders = field.by_order(scene)
+    np.testing.assert_allclose(orders[0], SingleScattering.normal().radiance(air, scene), rtol=1e-4)
+    double = skyfit.DoubleScattering.fine("spherical").radiance(air, scene)
+    np.testing.assert_allclose(orders[1], double - orders[0], rtol=0.02)
+    np.testing.assert_allclose(jnp.sum(orders, axis=0), field.radiance(scene), rtol=1e-6)
+    assert np.all(orders[:-1] > 0.0) and np.all(orders[1:-1] < 0.5 * orders[:-2])
+
+
 def test_fine_orders_agree_by_day():
     atmosphere = haze_over_air(0.2, 0.15, 0.65, 0.95, 0.2)
     view = skyfit.hemisphere(40, np.radians(85.0))

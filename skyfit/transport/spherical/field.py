@@ -20,7 +20,7 @@ from . import harmonics as sun_harmonics
 from .first import sun_on_ground
 from .grid import cubic_weights, dusk, height_coordinate, linear, NEAR_CLIMB, Resolution, sun_coordinate, sun_weights
 from .medium import completed, Medium, medium_of, per_metre
-from .transfer import FINER_LEVELS, FINER_SUNS, Solution
+from .transfer import FINER_LEVELS, FINER_SUNS, orders_of, Solution, tabled
 
 
 # parts of views, where they begin and end
@@ -62,6 +62,18 @@ class SphericalField(eqx.Module):
         """
         self._check(scene)
         return self._radiance(scene)
+
+    def by_order(self, scene: Scene) -> Float[Array, "order direction wavelength"]:
+        """`radiance` order by order; its sum over the orders is `radiance`.
+
+        **Arguments:** `scene` as `radiance` takes it. **Returns:** W m^-2 sr^-1 nm^-1: light that was scattered, or
+        reflected by the ground, once, twice and so on to one more than the orders that were solved; last all that
+        follows. **Valid:** an event in the forward peak of a phase function, beyond its `moments`, counts for none
+        (delta-M), but for light scattered once, whose phase functions are whole. The orders are solved anew: a call
+        takes about as long as `prepare`.
+        """
+        self._check(scene)
+        return self._by_order(scene)
 
     def path(self, scene: Scene, distance: Float[Array, " direction"], lit: Lit | None = None) -> Path:
         """The air between the observer and objects, with all orders of scattering.
@@ -114,6 +126,24 @@ class SphericalField(eqx.Module):
         return jnp.where(seen[:, None], light, 0.0)
 
     @eqx.filter_jit
+    def _by_order(self, scene: Scene):
+        medium = medium_of(self.atmosphere, self.wavelength_nm, self.resolution.moments)
+        views = views_of(scene, "spherical")
+        dark = eqx.tree_at(lambda f: f.solution, self, replace_fn=lambda s: jax.tree.map(jnp.zeros_like, s))
+        once = self._once(scene, medium, views) + _ground(dark, medium, scene, views)
+        orders = orders_of(self.atmosphere, self.wavelength_nm, self.sun_place, self.resolution)
+
+        def following(order):
+            field = eqx.tree_at(lambda f: f.solution, self, tabled(order, self.solution.left_over))
+            return _multiple(field, medium, scene, views) + _ground(field, medium, scene, views, beam=0.0)
+
+        rows = jnp.concatenate([once[None], jax.lax.map(following, orders)])
+        seen = views.aloft | above_horizon(scene.view.zenith)
+        rows = jnp.where(seen[None, :, None], rows, 0.0)
+        rows = jnp.concatenate([rows, self.light(scene)[None] - jnp.sum(rows, axis=0, keepdims=True)])
+        return rows * scene.solar_irradiance[None, None]
+
+    @eqx.filter_jit
     def _path(self, scene: Scene, distance, lit) -> Path:
         constituents = self.atmosphere.constituents
         medium = medium_of(self.atmosphere, self.wavelength_nm, self.resolution.moments)
@@ -126,15 +156,21 @@ class SphericalField(eqx.Module):
         self, medium: Medium, scene: Scene, views: Views, lit: Lit | None = None
     ) -> Float[Array, "direction wavelength"]:
         """All orders of scattering along views, per unit solar irradiance, sr^-1."""
+        return _multiple(self, medium, scene, views) + self._once(scene, medium, views, lit)
+
+    def _once(
+        self, scene: Scene, medium: Medium, views: Views, lit: Lit | None = None
+    ) -> Float[Array, "direction wavelength"]:
+        """Sunlight scattered once along views, per unit solar irradiance, sr^-1."""
         constituents = self.atmosphere.constituents
+        light = jnp.zeros((views.cosine.shape[0], *self.wavelength_nm.shape), views.cosine.dtype)
         if not scatterer_indices(constituents):
-            return jnp.zeros((views.cosine.shape[0], *self.wavelength_nm.shape), views.cosine.dtype)
-        nodes = self.resolution.once_nodes
-        light = _multiple(self, medium, scene, views)
+            return light
         parts = [(views.entry, views.length)] if lit is None else lit
         for begin, end in parts:
             begin = jnp.clip(begin, views.entry, views.length)
             part = views._replace(entry=begin, length=jnp.clip(end, begin, views.length))
+            nodes = self.resolution.once_nodes
             light += single_scattering_of(constituents, scene, medium.extinction, nodes, "spherical", part)[0]
         return light
 
@@ -166,6 +202,8 @@ def _multiple(
 ) -> Float[Array, "direction wavelength"]:
     """Light of the second and higher orders, the ground's share in them too, per unit solar irradiance, sr^-1."""
     resolution = field.resolution
+    if not medium.scattering.shape[0]:
+        return jnp.zeros((views.cosine.shape[0], *field.wavelength_nm.shape), views.cosine.dtype)
     names = sun_harmonics.kept(resolution.moments, bool(medium.peaks))
     travelling = sun_harmonics.travelling(names)
     degree = np.array([pair[0] for pair in names])
@@ -219,15 +257,17 @@ def _multiple(
     return light
 
 
-def _ground(field: SphericalField, medium: Medium, scene: Scene, views: Views) -> Float[Array, "direction wavelength"]:
-    """Light of the lit ground at the end of the views that meet it, per unit solar irradiance, sr^-1."""
+def _ground(
+    field: SphericalField, medium: Medium, scene: Scene, views: Views, beam: float = 1.0
+) -> Float[Array, "direction wavelength"]:
+    """Light of the ground at the end of the views that meet it, lit by the field and by so much of the sun's beam."""
     if not views.aloft:
         return jnp.zeros((views.cosine.shape[0], *field.wavelength_nm.shape), views.cosine.dtype)
     ends = end_points(views, "spherical")
     profiles = [c.profile for c in field.atmosphere.constituents]
     depth = eye_columns(profiles, views, ends, "spherical")[..., 0].T @ medium.extinction
     cosine = ends.sun_cosine[:, 0]
-    lit = sun_on_ground(field.atmosphere, medium.extinction, cosine)
+    lit = beam * sun_on_ground(field.atmosphere, medium.extinction, cosine)
     lit = lit + field._suns(jnp.arctan2(safe_sqrt(1.0 - cosine**2), cosine)) @ field.solution.ground
     # a view that meets the ground falls all the way to it
     meets = (ends.view_cosine[:, 0] < 0.0) & (ends.height[:, 0] < 1.0)

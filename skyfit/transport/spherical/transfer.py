@@ -70,13 +70,28 @@ def solve(
     resolution: Resolution,
 ) -> Solution:
     """All orders of scattering at all levels under some suns, `sun_place` as `sun_coordinate` has them, one apart."""
+    orders = orders_of(atmosphere, wavelength_nm, sun_place, resolution)
+    total, rest = _combined(orders)
+    more = _closure(orders)
+    more = Order(more[:, :, None] * rest.moments, more[0] * rest.ground)
+    left_over = safe_sqrt(_squares(more.moments[:, :, 0]) / (_squares(total.moments[:, :, 0]) + _NO_LIGHT**2))
+    return tabled(jax.tree.map(jnp.add, total, more), left_over)
+
+
+def orders_of(
+    atmosphere: Atmosphere,
+    wavelength_nm: Float[Array, " wavelength"],
+    sun_place: Float[Array, " sun"],
+    resolution: Resolution,
+) -> Order:
+    """The light of each order, `[order, ...]`."""
     rays = rays_of(resolution)
     medium = medium_of(atmosphere, wavelength_nm, resolution.moments)
     names = sun_harmonics.kept(resolution.moments, bool(medium.peaks))
     if not medium.scattering.shape[0]:
-        shape = resolution.levels, *sun_place.shape, len(names), *wavelength_nm.shape
-        dark = Order(jnp.zeros(shape), jnp.zeros((*sun_place.shape, *wavelength_nm.shape)))
-        return _solution(dark, jnp.zeros(wavelength_nm.shape), names)
+        suns = *sun_place.shape, *wavelength_nm.shape
+        shape = resolution.orders, resolution.levels, suns[0], len(names), suns[1]
+        return Order(jnp.zeros(shape), jnp.zeros((resolution.orders, *suns)))
     azimuths = resolution.moments + 1 if medium.peaks else FEW_AZIMUTHS
     azimuth = half_turn(azimuths)
     weights = ray_weights(atmosphere, medium, rays)
@@ -99,12 +114,7 @@ def solve(
 
     start = moments(first)
     _, later = jax.lax.scan(jax.checkpoint(step), start, length=resolution.orders - 1)
-    orders = jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), start, later)
-    total, rest = _combined(orders)
-    more = _closure(orders)
-    more = Order(more[:, :, None] * rest.moments, more[0] * rest.ground)
-    left_over = safe_sqrt(_squares(more.moments[:, :, 0]) / (_squares(total.moments[:, :, 0]) + _NO_LIGHT**2))
-    return _solution(jax.tree.map(jnp.add, total, more), left_over, names)
+    return jax.tree.map(lambda one, more: jnp.concatenate([one[None], more]), start, later)
 
 
 def _squares(light: Float[Array, "*axes wavelength"]) -> Float[Array, " wavelength"]:
@@ -158,12 +168,14 @@ def _closure(orders: Order) -> Float[Array, "level sun wavelength"]:
     return ratio / (1.0 - ratio)
 
 
-def _solution(light: Order, left_over, names) -> Solution:
+def tabled(light: Order, left_over: Float[Array, " wavelength"]) -> Solution:
+    """The light of some orders with the table that views read."""
+
     def finer(count: int, times: int):
         return as_float(cubic_weights(np.arange(times * (count - 1) + 1) / times, count))
 
     levels, suns = finer(light.moments.shape[0], FINER_LEVELS), finer(light.moments.shape[1], FINER_SUNS)
-    travelling = light.moments[:, :, : sun_harmonics.travelling(names)]
+    travelling = light.moments[:, :, : len(sun_harmonics.kept(sun_harmonics.TRAVELLING, False))]
     return Solution(*light, jnp.einsum("il,js,lshw->ijhw", levels, suns, travelling), left_over)
 
 
