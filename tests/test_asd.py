@@ -3,6 +3,8 @@
 from pathlib import Path
 
 import numpy as np
+import pandas
+import pvlib
 import pytest
 
 from skyfit.measured import read, solar_position
@@ -47,6 +49,16 @@ def test_a_folder_of_asd_folders_is_a_day(tmp_path):
     assert sky.masked == {"missing": 3}
     assert not np.any(sky.usable[1, 1])
     assert np.diff(sky.time)[0] == np.timedelta64(90, "m")
+
+
+def test_the_sun_sets_without_a_jump():
+    time = np.datetime64("2026-06-21T19:00") + np.arange(60).astype("timedelta64[m]")
+    true = pvlib.solarposition.get_solarposition(pandas.DatetimeIndex(time, tz="UTC"), 48.0, 11.0)
+    seen, lit = (np.rad2deg(solar_position(time, 48.0, 11.0, refracted=share)[0]) for share in (1.0, 0.5))
+    day = true["elevation"] > -0.8
+    np.testing.assert_allclose(seen[day], true["apparent_zenith"][day], atol=1e-9)
+    np.testing.assert_allclose(lit, 0.5 * (seen + true["zenith"]), atol=1e-9)
+    assert np.sum(~day) > 30 and np.all(np.abs(np.diff(seen, 2)) < 0.03)
 
 
 def test_solar_position_at_an_equinox():

@@ -191,7 +191,7 @@ def test_a_sky_of_a_mountain_at_a_time_comes_back(skyfit_command, tmp_path):
     )  # fmt: skip
     sky = skyfit.read(tmp_path / "mk.csv")
     assert sky.time == [np.datetime64("2020-07-04T17:00")] and (sky.latitude_deg, sky.longitude_deg) == (40.0, -105.5)
-    place = skyfit.measured.solar_position(sky.time, 40.0, -105.5, pressure=62000.0)
+    place = skyfit.measured.solar_position(sky.time, 40.0, -105.5, pressure=62000.0, refracted=0.5)
     np.testing.assert_allclose([sky.sun_zenith, sky.sun_azimuth], place, rtol=1e-9)
     assert np.isnan(sky.sun_distance_au)
     free = ("aerosol_optical_depth", "single_scattering_albedo")

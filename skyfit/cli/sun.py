@@ -23,7 +23,8 @@ def sun_of(
     if time is None or zenith is not None or azimuth is not None:
         raise ValueError("`--at` must come with `--time`, and without `--sun-zenith` and `--sun-azimuth`")
     latitude, longitude = _place(at)
-    found = solar_position(about["time"], latitude, longitude, pressure=pressure)
+    # light comes along straight rays here
+    found = solar_position(about["time"], latitude, longitude, pressure=pressure, refracted=0.5)
     zenith, azimuth = (round(float(np.degrees(angle[0])), 10) for angle in found)
     in_range("--time and --at: sun zenith", zenith, 0.0, lowest)
     return zenith, azimuth, about | {"latitude_deg": latitude, "longitude_deg": longitude}
