@@ -13,10 +13,9 @@ import json
 
 import numpy as np
 
-from skyfit.measured.solar_position import refraction
-
 from experiments.benchmarks.rivals import EARTH_RADIUS, SCALE_HEIGHTS
 from experiments.benchmarks.tiers import HERE, made_with
+from skyfit.measured.solar_position import refraction
 
 
 RESULT = HERE / "results" / "refraction.json"

@@ -3,7 +3,8 @@
     python -m experiments.validation.twilight [--preset normal]
 
 `Spherical` in air of the US Standard Atmosphere 1976 above 2635 m, haze of 0.03 at 550 nm and 270 DU of ozone; the dark
-sky of the site is added. Also without ozone. Writes experiments/results/twilight.json and twilight.png.
+sky of the site is added. Also without ozone, and with the sun half of the refraction at its setting higher, which
+makes good most of what straight rays miss (experiments/validation/refraction.py). Writes experiments/results/twilight.json and twilight.png.
 """
 
 import argparse
@@ -15,6 +16,7 @@ import skyfit
 from experiments.benchmarks.tiers import HERE, made_with
 from skyfit.atmosphere import pressure_at_altitude
 from skyfit.light import extraterrestrial_irradiance
+from skyfit.measured.solar_position import refraction
 
 
 RESULT, PICTURE = HERE / "results" / "twilight.json", HERE / "results" / "twilight.png"
@@ -52,12 +54,13 @@ def atmosphere_of(ozone: float) -> skyfit.Atmosphere:
     return skyfit.Atmosphere(rayleigh=air, aerosol=haze, ozone=gas)
 
 
-def magnitudes(solver: skyfit.Spherical, ozone: float) -> dict[str, np.ndarray]:
-    """Zenith sky in mag arcsec^-2 under `SUNS`, the dark sky in it."""
-    field = solver.prepare(atmosphere_of(ozone), NM, sun_zenith=np.radians(SUNS[[0, -1]]))
+def magnitudes(solver: skyfit.Spherical, ozone: float, lifted: float = 0.0) -> dict[str, np.ndarray]:
+    """Zenith sky in mag arcsec^-2 under `SUNS` that stand some degrees higher, the dark sky in it."""
+    suns = SUNS - lifted
+    field = solver.prepare(atmosphere_of(ozone), NM, sun_zenith=np.radians(suns[[0, -1]]))
     up = skyfit.Directions(np.zeros(1), np.zeros(1))
     sunlight = np.asarray(extraterrestrial_irradiance(NM, None, "astm_g173"))
-    scenes = [skyfit.Scene.from_degrees(sun, up, NM, irradiance="unit") for sun in SUNS]
+    scenes = [skyfit.Scene.from_degrees(sun, up, NM, irradiance="unit") for sun in suns]
     light = np.stack([np.asarray(field.radiance(scene))[0] for scene in scenes])
     found = {}
     for band, (centre, width) in BANDS.items():
@@ -74,29 +77,42 @@ def main():
     given = arguments.parse_args()
     solver = getattr(skyfit.Spherical, given.preset)()
     ours, grey = magnitudes(solver, 270.0), magnitudes(solver, 0.0)
+    half = 0.5 * float(refraction(np.array([-5.0]), float(pressure_at_altitude(ALTITUDE)))[0])
+    higher = magnitudes(solver, 270.0, half)
     beyond = SUNS - 95.0
     rows = {}
     for band, (a0, a1, a2) in MEASURED.items():
         last = 103.0 if band in "UB" else 101.0
         judged = SUNS <= last
         measured = a0 + a1 * beyond + a2 * beyond**2
-        slope = np.gradient(ours[band], SUNS) - (a1 + 2.0 * a2 * beyond)
+        slope, lifted = (np.gradient(m[band], SUNS) - (a1 + 2.0 * a2 * beyond) for m in (ours, higher))
         rows[band] = {
             "suns_deg": [95.0, last],
             "measured": measured.tolist(),
             "model": ours[band].tolist(),
             "model_without_ozone": grey[band].tolist(),
+            "model_half_refraction": higher[band].tolist(),
             "largest_difference_mag": float(np.max(np.abs(ours[band] - measured)[judged])),
             "largest_slope_difference_mag_per_deg": float(np.max(np.abs(slope)[judged][1:-1])),
             "largest_difference_without_ozone_mag": float(np.max(np.abs(grey[band] - measured)[judged])),
+            "largest_difference_half_refraction_mag": float(np.max(np.abs(higher[band] - measured)[judged])),
+            "largest_slope_difference_half_refraction_mag_per_deg": float(np.max(np.abs(lifted)[judged][1:-1])),
         }
-    record = {"made_with": made_with(None), "solver": given.preset, "suns_deg": SUNS.tolist(), "bands": rows}
+    record = {
+        "made_with": made_with(None),
+        "solver": given.preset,
+        "half_refraction_deg": half,
+        "suns_deg": SUNS.tolist(),
+        "bands": rows,
+    }
     RESULT.write_text(json.dumps(record, indent=1) + "\n")
     draw(rows)
     for band, row in rows.items():
         print(
             f"{band}: {row['largest_difference_mag']:.2f} mag, slope {row['largest_slope_difference_mag_per_deg']:.2f} "
-            f"mag/deg; without ozone {row['largest_difference_without_ozone_mag']:.2f} mag"
+            f"mag/deg; without ozone {row['largest_difference_without_ozone_mag']:.2f} mag; half of the refraction "
+            f"{row['largest_difference_half_refraction_mag']:.2f} mag, slope "
+            f"{row['largest_slope_difference_half_refraction_mag_per_deg']:.2f} mag/deg"
         )
 
 
@@ -111,10 +127,13 @@ def draw(rows):
     for band, row in rows.items():
         left.plot(SUNS, row["measured"], "o", ms=3, color=colours[band], label=f"{band}, measured")
         left.plot(SUNS, row["model"], color=colours[band])
+        left.plot(SUNS, row["model_half_refraction"], "--", color=colours[band])
         left.plot(SUNS, row["model_without_ozone"], ":", color=colours[band])
     left.invert_yaxis()
     left.set(xlabel="sun zenith angle, degrees", ylabel="zenith sky, mag arcsec$^{-2}$")
-    left.legend(fontsize=8, title="lines: Spherical; dotted: without ozone", title_fontsize=8)
+    left.legend(
+        fontsize=8, title="lines: Spherical; dashed: half of the refraction; dotted: no ozone", title_fontsize=8
+    )
     for one, other in ("UB", "BV", "VR", "VI"):
         colour = {name: np.array(rows[one][name]) - np.array(rows[other][name]) for name in ("measured", "model")}
         line = right.plot(SUNS, colour["model"], label=f"{one} - {other}")[0]
