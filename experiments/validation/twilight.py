@@ -3,8 +3,9 @@
     python -m experiments.validation.twilight [--preset normal]
 
 `Spherical` in air of the US Standard Atmosphere 1976 above 2635 m, haze of 0.03 at 550 nm and 270 DU of ozone; the dark
-sky of the site is added. Also without ozone, and with the sun half of the refraction at its setting higher, which
-makes good most of what straight rays miss (experiments/validation/refraction.py). Writes experiments/results/twilight.json and twilight.png.
+sky of the site is added. Also without ozone, and with the sun half of the refraction at its setting higher, which makes
+good most of what straight rays miss at 550 nm (experiments/validation/refraction.py). Writes
+experiments/results/twilight.json and twilight.png.
 """
 
 import argparse
