@@ -56,7 +56,7 @@ def lookups(solver, repeats: int) -> dict:
     sky = skyfit.Scene.from_degrees(85.0, skyfit.hemisphere(343), wavelengths)
     whole = solver.prepare(atmosphere, NM)
     aloft = skyfit.Scene.from_degrees(85.0, skyfit.hemisphere(343), NM, height=10e3)
-    return interleaved(
+    rows = interleaved(
         {
             "343 x 41, ground": lambda: field.radiance(sky),
             "single scattering alone, 343 x 41, ground": lambda: once.radiance(atmosphere, sky),
@@ -64,6 +64,29 @@ def lookups(solver, repeats: int) -> dict:
         },
         repeats,
     )
+    return rows | picture(solver, atmosphere)
+
+
+def picture(solver, atmosphere) -> dict:
+    """A frame of 1024 x 768 over the upper hemisphere at 8 wavelengths through `upsample`, `prepare` in it.
+
+    Beside the field's own light of some of its pixels, above 88 degrees.
+    """
+    zenith, azimuth = np.meshgrid(np.linspace(0.0, 89.9, 768), np.linspace(0.0, 359.9, 1024), indexing="ij")
+    frame = skyfit.Scene.from_degrees(85.0, skyfit.Directions.from_degrees(zenith, azimuth), NM)
+    light = skyfit.upsample(solver, atmosphere, frame)
+    some = np.random.default_rng(0).choice(np.flatnonzero(zenith.ravel() < 88.0), 2048, replace=False)
+    few = skyfit.Scene.from_degrees(
+        85.0, skyfit.Directions.from_degrees(zenith.ravel()[some], azimuth.ravel()[some]), NM
+    )
+    field = solver.prepare(atmosphere, NM, sun_zenith=few.sun_zenith)
+    off = np.abs(np.asarray(light.radiance)[some] / np.asarray(field.radiance(few)) - 1.0)
+    row = interleaved({"1024 x 768 x 8, ground": lambda: skyfit.upsample(solver, atmosphere, frame)}, 2)
+    row["1024 x 768 x 8, ground"] |= {
+        "median_difference": float(np.median(off)),
+        "largest_difference": float(off.max()),
+    }
+    return row
 
 
 def gradients(solver, repeats: int) -> dict:

@@ -15,7 +15,11 @@ from .guarded import (
 from .interpolation import (
     chebyshev_nodes as chebyshev_nodes,
     chebyshev_weights as chebyshev_weights,
+    cubic as cubic,
+    cubic_weights as cubic_weights,
     hat_weights as hat_weights,
+    library_of as library_of,
+    linear as linear,
 )
 from .legendre import (
     associated_legendre as associated_legendre,

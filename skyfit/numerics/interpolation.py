@@ -1,7 +1,9 @@
-"""Interpolation as a matrix of weights: differentiable, free of gathers, the same in every dtype."""
+"""Interpolation by weights, of all nodes or of those around a place; differentiable, the same in every dtype."""
 
 import functools
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -45,3 +47,36 @@ def chebyshev_weights(
         rows.append(2.0 * x * rows[-1] - rows[-2])
     kept = count if kept is None else kept
     return jnp.stack(rows[:kept], axis=-1) @ jnp.asarray(to_coefficients[:kept], x.dtype)
+
+
+def cubic(place: Any, count: int):
+    """The first of four even nodes around a place and their weights (Lagrange); the end's value beyond the ends."""
+    xp = library_of(place)
+    inside = xp.clip(place, 0.0, count - 1.0)
+    first = xp.clip(xp.floor(inside).astype(np.int32) - 1, 0, count - 4)
+    t = inside - first
+    a, b, c, d = t, t - 1.0, t - 2.0, t - 3.0
+    return first, (-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0)
+
+
+def cubic_weights(place: Any, count: int) -> Any:
+    """`cubic` as a row of weights for all nodes, `[..., node]`; numpy's of numpy's."""
+    xp = library_of(place)
+    first, four = cubic(place, count)
+    behind = np.arange(count).reshape(*[1] * place.ndim, count) - first[..., None]
+    row = xp.zeros(behind.shape, place.dtype)
+    for k, weight in enumerate(four):
+        row = row + xp.where(behind == k, weight[..., None], 0.0)
+    return row
+
+
+def linear(place: Float[Array, "..."], count: int):
+    """The first of two even nodes around a place and their weights; the end's value beyond the ends."""
+    inside = jnp.clip(place, 0.0, count - 1.0)
+    first = jnp.clip(jnp.floor(inside).astype(jnp.int32), 0, count - 2)
+    return first, (1.0 - (inside - first), inside - first)
+
+
+def library_of(values: Any):
+    """jax's numpy for its arrays, numpy for others."""
+    return jnp if isinstance(values, jax.Array) else np

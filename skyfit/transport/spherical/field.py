@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...atmosphere import Atmosphere
-from ...numerics import as_float, check_range, concrete, gauss_legendre, safe_sqrt
+from ...numerics import as_float, check_range, concrete, cubic_weights, gauss_legendre, linear, safe_sqrt
 from ...scene import above_horizon, Scene
 from ..columns import EARTH_RADIUS, length_scale
 from ..contract import check_eye, Irradiances, Path
@@ -18,7 +18,7 @@ from ..single import single_scattering_of
 from ..views import end_points, eye_columns, Points, points_at, Views, views_of
 from . import harmonics as sun_harmonics
 from .first import sun_on_ground
-from .grid import cubic_weights, dusk, height_coordinate, linear, NEAR_CLIMB, Resolution, sun_coordinate, sun_weights
+from .grid import dusk, height_coordinate, NEAR_CLIMB, Resolution, sun_coordinate, sun_weights
 from .medium import completed, Medium, medium_of, per_metre
 from .transfer import FINER_LEVELS, FINER_SUNS, orders_of, Solution, tabled
 

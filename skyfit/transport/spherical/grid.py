@@ -3,12 +3,11 @@
 import math
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...numerics import gauss_legendre
+from ...numerics import cubic_weights, gauss_legendre, library_of
 from ..columns import EARTH_RADIUS, TOP_OF_AIR
 
 
@@ -68,7 +67,7 @@ def level_heights(levels: int) -> np.ndarray:
 
 def height_coordinate(height: Any, levels: int) -> Any:
     """The place of heights (m) among the levels, 0 to `levels` - 1; numpy's of numpy's."""
-    xp = _library(height)
+    xp = library_of(height)
     share = xp.log1p(xp.clip(height, 1e-3, TOP_OF_AIR) / _NEAR) / math.log1p(TOP_OF_AIR / _NEAR)
     return (levels - 1) * share ** (1.0 / _POWER)
 
@@ -78,7 +77,7 @@ def sun_coordinate(zenith: Any, step: float) -> Any:
 
     numpy's of numpy's.
     """
-    xp = _library(zenith)
+    xp = library_of(zenith)
     above = (xp.rad2deg(zenith) - _EVEN_ABOVE) / step
     return xp.where(above > 0.0, above, -xp.log1p(_WIDER * xp.maximum(-above, 0.0)) / _WIDER)
 
@@ -94,27 +93,6 @@ def dusk(zenith: Float[Array, "..."]) -> Float[Array, "..."]:
     return jnp.exp(-_FALL * _SOFT * jnp.logaddexp(0.0, (jnp.minimum(jnp.rad2deg(zenith), _NIGHT) - _DUSK) / _SOFT))
 
 
-def cubic(place: Any, count: int):
-    """The first of four even nodes around a place and their weights (Lagrange); the end's value beyond the ends."""
-    xp = _library(place)
-    inside = xp.clip(place, 0.0, count - 1.0)
-    first = xp.clip(xp.floor(inside).astype(np.int32) - 1, 0, count - 4)
-    t = inside - first
-    a, b, c, d = t, t - 1.0, t - 2.0, t - 3.0
-    return first, (-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0)
-
-
-def cubic_weights(place: Any, count: int) -> Any:
-    """`cubic` as a row of weights for all nodes, `[..., node]`; numpy's of numpy's."""
-    xp = _library(place)
-    first, four = cubic(place, count)
-    behind = np.arange(count).reshape(*[1] * place.ndim, count) - first[..., None]
-    row = xp.zeros(behind.shape, place.dtype)
-    for k, weight in enumerate(four):
-        row = row + xp.where(behind == k, weight[..., None], 0.0)
-    return row
-
-
 def sun_weights(zenith: Float[Array, "..."], sun_place: Float[Array, " sun"], step: float) -> Float[Array, "... sun"]:
     """Weights of the suns of a table for zenith angles (rad), times `dusk` there."""
     place = sun_coordinate(zenith, step) - sun_place[0]
@@ -124,17 +102,6 @@ def sun_weights(zenith: Float[Array, "..."], sun_place: Float[Array, " sun"], st
 def half_turn(count: int) -> np.ndarray:
     """The middles of equal parts of half a turn, rad."""
     return np.pi * (np.arange(count) + 0.5) / count
-
-
-def linear(place: Float[Array, "..."], count: int):
-    """The first of two even nodes around a place and their weights; the end's value beyond the ends."""
-    inside = jnp.clip(place, 0.0, count - 1.0)
-    first = jnp.clip(jnp.floor(inside).astype(jnp.int32), 0, count - 2)
-    return first, (1.0 - (inside - first), inside - first)
-
-
-def _library(values):
-    return jnp if isinstance(values, jax.Array) else np
 
 
 def rays_of(resolution: Resolution) -> Rays:

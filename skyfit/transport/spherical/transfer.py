@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...atmosphere import Atmosphere
-from ...numerics import as_float, safe_sqrt, solve_upper, triangle
+from ...numerics import as_float, cubic_weights, safe_sqrt, solve_upper, triangle
 from ..columns import EARTH_RADIUS
 from . import harmonics as sun_harmonics
 from .first import FEW_AZIMUTHS, first_order, spread_azimuths
-from .grid import cubic_weights, dusk, half_turn, Rays, rays_of, Resolution, sun_at, sun_weights
+from .grid import dusk, half_turn, Rays, rays_of, Resolution, sun_at, sun_weights
 from .medium import Medium, medium_of, ray_weights, RayWeights
 
 
