@@ -5,8 +5,9 @@
 FILE has the layout of the shared oracle_space.npz: flat lists `case`, `height_m`, `sza`, `vza`, `raz`, `radiance`,
 `sigma`, `tangent_height_m`, one entry a line of sight, and `cases` with `case_fields`; exponential air and haze of 8
 and 1.2 km, ozone a Gaussian layer about 22 km, per unit irradiance. By range of the sun: the median and worst relative
-error, the shares within the tolerance and 0.3 % plus 3 sigma, the rms of z by sigma plus 0.1 %; what a solver refuses or flags is
-counted, not judged. Seconds are those of a second run; they are of this machine under whatever else it did.
+error, the shares within the tolerance and within 0.3 %, plus 3 sigma each, the rms of z by sigma plus 0.1 %; what a
+solver refuses or flags is counted, not judged. Seconds are those of a second run; they are of this machine under
+whatever else it did.
 
 A solver that is prepared once answers all lines of a case from one field.
 """
