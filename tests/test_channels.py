@@ -179,7 +179,7 @@ def test_a_response_goes_from_the_file_to_the_prediction(x64, tmp_path):
     plain = as_sky(by_hand(SOLVER, PLAIN), fwhm_nm=np.nan, time=np.array(["NaT"], "datetime64[ns]"))
     np.testing.assert_allclose(predict(loaded, plain)[0], by_hand(SOLVER, PLAIN, fwhm_nm=None), rtol=0.02)
     plot(fit, tmp_path / "fit.png")
-    many = skyfit.fit_many(sky, FREE, tmp_path / "fits.nc", SOLVER, start(), measurement=EXACT)
+    many = skyfit.fit_many(sky, FREE, solver=SOLVER, start=start(), path=tmp_path / "fits.nc", measurement=EXACT)
     np.testing.assert_allclose(many.values, fit.values, rtol=1e-5)
     np.testing.assert_array_equal(many.fitted_nm, sky.wavelength_nm)
     # the argument does the same as the file

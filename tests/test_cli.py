@@ -201,6 +201,18 @@ def test_a_sky_of_a_mountain_at_a_time_comes_back(skyfit_command, tmp_path):
     assert found == pytest.approx([0.05, 0.95], rel=5e-3)
     assert record["fixed"]["pressure"]["value"] == 62000.0 and record["fixed"]["ozone"]["value"] == 350.0
     assert not any("date" in note or "assumed" in note or "unlike" in note for note in record["notes"])
+    # from an atmosphere of a file, whose ozone is another and whose pressure is kept too
+    air = skyfit.Atmosphere.from_optical_depth(0.3).replace(rayleigh=skyfit.Rayleigh(62000.0), ozone=None)
+    (tmp_path / "site.json").write_text(json.dumps(skyfit.atmosphere.describe(air)))
+    call = ("invert", "mk.csv", "--free", ",".join(free), "--atmosphere", "site.json", *settings, "--out", "own")
+    skyfit_command(*call, cwd=tmp_path)
+    own = json.loads((tmp_path / "own" / "fit.json").read_text())
+    assert own["times"][0]["parameters"][free[0]]["value"] > 0.051 and "ozone" not in own["fixed"]
+    assert own["fixed"]["pressure"]["value"] == 62000.0
+    refused = skyfit_command(*call, "--fix", "ozone=300", cwd=tmp_path, check=False)
+    assert refused.returncode == 2 and "'ozone', which this atmosphere does not have" in " ".join(
+        refused.stderr.split()
+    )
 
 
 def two_skies(path):
@@ -661,6 +673,15 @@ BROKEN = {
         ["12 usable samples", "18 free"],
     ),
     "out is a file": ((*INVERT[:-1], "fit.json", "--free", "turbidity"), ["--out", "fit.json"]),
+    "refit of a file and of options": (
+        ("refit", "--atmosphere", "site.toml", "--ozone", "200", "--out", "new"),
+        ["--ozone", "--atmosphere"],
+    ),
+    "refit of a file that is not there": (("refit", "--atmosphere", "no.toml", "--out", "new"), ["no.toml"]),
+    "invert from a file that is not there": (
+        ("invert", "sky.nc", "--atmosphere", "no.toml", "--out", "new"),
+        ["no.toml"],
+    ),
     "refit out is a file": (("refit", "--out", "fit.json"), ["--out", "fit.json"]),
     "refit of few directions": (("refit", "--directions", "3", "--out", "new"), ["--directions", "3"]),
     "fit missing": (("predict", "none.json", "--at", "sky.nc", "--out", "new.nc"), ["none.json"]),
@@ -837,6 +858,20 @@ def test_the_demo_recovers_the_sample(checkout, skyfit_command, tmp_path):
     assert time["parameters"]["aerosol_optical_depth"]["value"] == pytest.approx(0.18, abs=0.01)
     assert time["parameters"]["angstrom_exponent"]["value"] == pytest.approx(1.35, abs=0.1)
     assert narrow(done.stdout)
+
+
+def test_refit_varies_the_haze_of_a_file(skyfit_command, tmp_path):
+    """All else in the file stays and is written along; a file without haze is refused."""
+    from skyfit.cli.refit import _by_depth
+
+    air = skyfit.Atmosphere.from_optical_depth(0.3, volcano=skyfit.Aerosol(0.02))
+    by_depth = _by_depth(air, tmp_path)
+    assert skyfit.atmosphere.describe(by_depth(0.3)) == skyfit.atmosphere.describe(air)
+    assert by_depth(0.7).aerosol.optical_depth == pytest.approx(0.7) and by_depth(0.7).volcano is air.volcano
+    clear = skyfit.atmosphere.describe(air.replace(aerosol=None))
+    (tmp_path / "clear.json").write_text(json.dumps(clear))
+    done = skyfit_command("refit", "--atmosphere", "clear.json", "--out", "new", cwd=tmp_path, check=False)
+    assert done.returncode == 2 and "clear.json: must hold an `aerosol`" in done.stderr
 
 
 def test_an_atmosphere_of_a_file_is_simulated_after_sunset_and_written_along(skyfit_command, tmp_path):

@@ -41,7 +41,7 @@ def progress(done, of):
     print(len(jax.devices()), done, of, flush=True)
     if done >= 2 * CHUNK:
         os.kill(os.getpid(), signal.SIGKILL)
-skyfit.fit_many(made(), FREE, sys.argv[1], SOLVER, chunk=CHUNK, progress=progress)
+skyfit.fit_many(made(), FREE, solver=SOLVER, path=sys.argv[1], chunk=CHUNK, progress=progress)
 """
 
 
@@ -126,7 +126,7 @@ def test_what_cannot_be_fitted_is_flagged_and_the_rest_is_as_before(sky, fits, t
     sigma[6] *= 1e3
     sun[7] = 1.7
     spoilt = replace(sky, radiance=radiance, sigma=sigma, usable=usable, sun_zenith=sun)
-    found = skyfit.fit_many(spoilt, FREE, tmp_path / "f.nc", SOLVER, chunk=CHUNK)
+    found = skyfit.fit_many(spoilt, FREE, solver=SOLVER, path=tmp_path / "f.nc", chunk=CHUNK)
     assert dict(enumerate(found.result)) == dict.fromkeys(range(TIMES), "successful") | WRONG
     # the stated sigma of time 8 is too small: its values are as they were, and a note says so
     assert "times their sigma" in found.notes[8][0] and found.values[8] == pytest.approx(fits.values[8], rel=1e-3)
@@ -145,7 +145,7 @@ def test_what_cannot_be_fitted_is_flagged_and_the_rest_is_as_before(sky, fits, t
 def test_what_is_assumed_of_the_sky_is_said_as_by_invert(sky, fits, tmp_path):
     """No date in the file, its own notes and no pressure for all; a sun in a solver's last degrees for one time."""
     silent = replace(sky.at_times([0, 3]), pressure_pa=np.nan, notes=("a note of the file",))
-    found = skyfit.fit_many(silent, FREE, tmp_path / "f.nc", SOLVER, chunk=CHUNK)
+    found = skyfit.fit_many(silent, FREE, solver=SOLVER, path=tmp_path / "f.nc", chunk=CHUNK)
     alone = skyfit.invert(silent, FREE, SOLVER)
     assert found.sky_notes == alone.notes and found.sky_notes[0] == "a note of the file"
     assert [any(word in note for note in found.sky_notes) for word in ("no date", "no pressure or altitude")] == [1, 1]
@@ -199,17 +199,19 @@ def test_counts_that_are_none_are_refused(sky, setting):
 
 def test_a_file_reads_back_and_is_not_computed_again(sky, fits, tmp_path):
     path = tmp_path / "fits.nc"
-    found = skyfit.fit_many(sky, FREE, path, SOLVER, chunk=CHUNK)
+    found = skyfit.fit_many(sky, FREE, solver=SOLVER, path=path, chunk=CHUNK)
     same(found, fits)
     same(skyfit.read_fits(path), fits)
     assert os.listdir(tmp_path) == ["fits.nc"]
-    again = skyfit.fit_many(sky, FREE, path, SOLVER, chunk=CHUNK, progress=lambda *_: pytest.fail("computed again"))
+    again = skyfit.fit_many(
+        sky, FREE, solver=SOLVER, path=path, chunk=CHUNK, progress=lambda *_: pytest.fail("computed again")
+    )
     same(again, fits)
 
 
 def test_a_file_says_in_its_own_words_what_it_holds(sky, tmp_path):
     stamped = replace(sky, time=np.datetime64("2025-10-05T12:00:00.5") + np.arange(TIMES) * np.timedelta64(1, "s"))
-    skyfit.fit_many(stamped, FREE, tmp_path / "fits.nc", SOLVER, chunk=CHUNK)
+    skyfit.fit_many(stamped, FREE, solver=SOLVER, path=tmp_path / "fits.nc", chunk=CHUNK)
     np.testing.assert_array_equal(skyfit.read_fits(tmp_path / "fits.nc").time, stamped.time)
     with h5py.File(tmp_path / "fits.nc") as file:
         assert [name.decode() for name in file["parameter"][:]] == list(FREE)
@@ -222,13 +224,13 @@ def test_a_file_says_in_its_own_words_what_it_holds(sky, tmp_path):
 
 def test_a_file_of_another_sky_or_of_other_settings_is_refused(sky, tmp_path):
     path = tmp_path / "fits.nc"
-    skyfit.fit_many(sky.at(0), FREE, path, SOLVER, chunk=CHUNK)
+    skyfit.fit_many(sky.at(0), FREE, solver=SOLVER, path=path, chunk=CHUNK)
     before = path.read_bytes()
     other = {"solver": skyfit.SingleScattering(9, "flat"), "draft": SOLVER}
     with pytest.raises(ValueError, match=r"fits.nc holds fits of other settings \(sky\): remove it"):
-        skyfit.fit_many(sky.at(1), FREE, path, SOLVER, chunk=CHUNK)
+        skyfit.fit_many(sky.at(1), FREE, solver=SOLVER, path=path, chunk=CHUNK)
     with pytest.raises(ValueError, match=r"holds fits of other settings \(solver\): remove it"):
-        skyfit.fit_many(sky.at(0), FREE, path, **other, chunk=CHUNK)
+        skyfit.fit_many(sky.at(0), FREE, path=path, **other, chunk=CHUNK)
     assert path.read_bytes() == before and os.listdir(tmp_path) == ["fits.nc"]
 
 
@@ -245,7 +247,7 @@ def test_a_path_that_cannot_be_written_is_refused_before_any_work(sky, tmp_path,
     if content is not None:
         (tmp_path / name).write_bytes(content)
     with pytest.raises(ValueError, match=said) as refusal:
-        skyfit.fit_many(sky, FREE, tmp_path / name, SOLVER, progress=lambda *_: pytest.fail("worked"))
+        skyfit.fit_many(sky, FREE, solver=SOLVER, path=tmp_path / name, progress=lambda *_: pytest.fail("worked"))
     assert "\n" not in str(refusal.value)
     assert os.listdir(tmp_path) == ([] if content is None else [name])
 
@@ -296,10 +298,10 @@ def test_after_a_kill_nothing_is_lost_and_nothing_done_twice(killed, sky, fits):
     with np.load(kept[0]) as first:
         values = first["values"]
     with pytest.raises(ValueError, match=r"fits.nc.parts holds fits of other settings \(free\): remove it"):
-        skyfit.fit_many(sky, FREE[:2], folder / "fits.nc", SOLVER)
+        skyfit.fit_many(sky, FREE[:2], solver=SOLVER, path=folder / "fits.nc")
     done = []
     found = skyfit.fit_many(
-        sky, FREE, folder / "fits.nc", SOLVER, chunk=CHUNK, progress=lambda *told: done.append(told)
+        sky, FREE, solver=SOLVER, path=folder / "fits.nc", chunk=CHUNK, progress=lambda *told: done.append(told)
     )
     # the chunk of four and that of two end in any order
     assert done in ([(8, 10), (10, 10)], [(6, 10), (10, 10)])

@@ -222,7 +222,7 @@ def test_what_is_made_of_a_fit_knows_each_times_directions(x64, tmp_path):
     write_prediction(back, again, tmp_path / "again.csv")
     np.testing.assert_allclose(skyfit.read(tmp_path / "again.csv").radiance, again, rtol=1e-12)
     plot(fit, tmp_path / "fit.png")
-    many = skyfit.fit_many(sky, FREE, None, SOLVER, measurement=EXACT)
+    many = skyfit.fit_many(sky, FREE, SOLVER, measurement=EXACT)
     np.testing.assert_allclose(many.values, fit.values, rtol=1e-5)
 
 
@@ -398,7 +398,7 @@ def test_a_filter_wheel_recovers_its_truth(x64, tmp_path):
     assert "sun zenith 41.1 deg" in str(fit)
     again = predict(load(tmp_path / "fit.json"), skyfit.read(tmp_path / "fit.nc"))
     np.testing.assert_allclose(again, fit.model, rtol=1e-6)
-    one = skyfit.fit_many(sky, FREE, None, SOLVER, measurement=EXACT)
+    one = skyfit.fit_many(sky, FREE, SOLVER, measurement=EXACT)
     assert np.all(np.abs(one.values - TRUTH) < 3.5 * one.sigma)
 
 

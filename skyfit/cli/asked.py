@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..atmosphere import Atmosphere
 from ..measured import read_response, Response, Sky
 from ..measured.readers.header import moment_of
 from ..retrieve import (
@@ -47,9 +48,11 @@ def values_of_fix(fix: Sequence[str]) -> dict[str, float]:
     return {name: _value("--fix", name, text) for name, text in _by_name("--fix", "name=value", fix).items()}
 
 
-def start_of(free: tuple[str, ...], known: Mapping[str, float], sky: Sky) -> SkyModel:
-    """The first guess, with the values that the user knows."""
-    start = start_at(sky, free)
+def start_of(
+    free: tuple[str, ...], known: Mapping[str, float], sky: Sky, atmosphere: Atmosphere | None = None
+) -> SkyModel:
+    """The first guess, or an atmosphere in its place, with the values that the user knows."""
+    start = start_at(sky, free) if atmosphere is None else SkyModel(atmosphere)
     check_free(free, start)
     for name in known:
         if name in free:

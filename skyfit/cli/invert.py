@@ -9,6 +9,7 @@ from .asked_of_files import Altitude, Latitude, Longitude, read_asked, ResponseO
 from .known import PARAMETER_NAMES, THRESHOLD
 from .options import (
     app,
+    AtmosphereOption,
     check_folder,
     GeometryName,
     GeometryOption,
@@ -61,6 +62,7 @@ def invert_command(
         bool, typer.Option("--products", help="the haze at the fitted wavelengths too: aerosol.csv, aerosol.nc")
     ] = False,
     mask_sun: Annotated[float | None, typer.Option(help="leave out samples within so many degrees of the sun")] = None,
+    atmosphere: AtmosphereOption = None,
     times: Times = None,
     response: ResponseOption = None,
     latitude: Latitude = None,
@@ -77,7 +79,8 @@ def invert_command(
 
     As skyfit.invert does in Python: by OrdersOfScattering.normal, spherical, polarised for spectra and scalar for
     channels, where no option says otherwise. The command computes in float64; Python in the precision of its process,
-    float32 where nobody asks for more.
+    float32 where nobody asks for more. The search begins at the atmosphere of a file, where one is given, and what is
+    not fitted stays what it is there, ozone and pressure too.
     """
     from math import radians
 
@@ -90,7 +93,7 @@ def invert_command(
     from ..retrieve import aerosol_products, invert
     from .asked import free_of, priors_of, response_of, shared_of, smooth_of, start_of, times_of, values_of_fix
     from .fit_report import print_fit
-    from .models import make_solver
+    from .models import atmosphere_of, make_solver
     from .printing import console, progress
 
     smoothed = smooth_of(smooth or [])
@@ -107,7 +110,7 @@ def invert_command(
     names = free_of(free, measured, known)
     # what is usual is said to be so
     asked = None if free is None and not known else names
-    start = start_of(names, known, measured)
+    start = start_of(names, known, measured, None if atmosphere is None else atmosphere_of(atmosphere))
     common = shared_of(names, shared, independent, tuple(smoothed), len(measured.time))
     spectral = channels is None and measured.response is None
     vector = spectral and solver == "orders" if polarised is None else polarised

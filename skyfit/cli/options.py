@@ -66,6 +66,16 @@ PolarisedOption = Annotated[
 LineShape = Annotated[float | None, typer.Option(help="Gaussian line shape of the instrument, nm")]
 
 
+AtmosphereOption = Annotated[
+    Path | None,
+    typer.Option("--atmosphere", help="TOML or JSON with constituents and ground, instead of their options"),
+]
+# what a file of an atmosphere holds
+OF_ATMOSPHERES = (
+    "angstrom_exponent", "single_scattering_albedo", "asymmetry", "haze_height", "ground_albedo", "ozone", "pressure",
+)  # fmt: skip
+
+
 def in_range(name: str, value: float, low: float, high: float) -> float:
     if not low <= value <= high:
         raise ValueError(f"`{name}` must be between {low:g} and {high:g}, got {value:g}")
@@ -83,3 +93,11 @@ def check_folder(path: Path) -> None:
     nearest = next(place for place in (path, *path.absolute().parents) if place.exists())
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
         raise ValueError(f"`--out` must be a folder that can be made, got {path}")
+
+
+def refuse(context: typer.Context, options: tuple[str, ...], beside: str) -> None:
+    """A `ValueError` for an option that was typed where another decides."""
+    for held in options:
+        source = context.get_parameter_source(held)
+        if source is not None and source.name == "COMMANDLINE":
+            raise ValueError(f"`--{held.replace('_', '-')}` must be left out with {beside}")

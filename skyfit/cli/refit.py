@@ -1,7 +1,10 @@
 """`skyfit refit`."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from enum import StrEnum
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, TYPE_CHECKING
 
 import typer
 
@@ -9,20 +12,27 @@ from .known import SEA_LEVEL_PRESSURE
 from .options import (
     AngstromExponent,
     app,
+    AtmosphereOption,
     check_folder,
     GeometryName,
     GeometryOption,
     GroundAlbedo,
     HazeHeight,
     in_range,
+    OF_ATMOSPHERES,
     OutFolder,
     OzoneColumn,
     PresetName,
     PresetOption,
     Pressure,
+    refuse,
     SingleScatteringAlbedo,
     SolverOption,
 )
+
+
+if TYPE_CHECKING:
+    from ..atmosphere import Atmosphere
 
 
 class FormName(StrEnum):
@@ -62,6 +72,7 @@ def refit_command(
     ground_albedo: GroundAlbedo = 0.1,
     ozone: OzoneColumn = 300.0,
     pressure: Pressure = SEA_LEVEL_PRESSURE,
+    atmosphere: AtmosphereOption = None,
     solver: SolverOption = "orders",
     preset: PresetOption = PresetName.normal,
     geometry: GeometryOption = GeometryName.spherical,
@@ -71,24 +82,35 @@ def refit_command(
 ):
     """Refit Preetham's coefficients against skies simulated on the spot.
 
+    Of the atmosphere of a file the optical depth of `aerosol` follows turbidity; all else in it stays.
+
     Exit code 3 if the fit did not come to its end: the files are written, and the report names what did not.
     """
     from ..analytic import refit
-    from ..atmosphere import HenyeyGreenstein, Tabulated, turbidity_to_optical_depth
+    from ..atmosphere import describe, HenyeyGreenstein, Tabulated, turbidity_to_optical_depth
     from ..draw import plot_refit
     from ..records import write_coefficients
-    from .models import make_atmosphere, make_solver
+    from .models import atmosphere_of, make_atmosphere, make_solver
     from .printing import console, progress
     from .refit_report import draw_skies, print_refit
 
     in_range("--directions", directions, 20, 100000)
     if flat_below is not None:
         in_range("--flat-below", flat_below, 0.0, 85.0)
-    kind, lobe = _haze(form, haze, asymmetry)
-    phase = Tabulated.bullrich() if lobe is None else HenyeyGreenstein(lobe)
-    by_depth = make_atmosphere(
-        phase, angstrom_exponent, single_scattering_albedo, haze_height, ground_albedo, ozone, pressure
-    )
+    given = {name: value for name, value in context.params.items() if name not in ("out", "atmosphere")}
+    if atmosphere is None:
+        kind, lobe = _haze(form, haze, asymmetry)
+        given |= {"haze": kind, "asymmetry": lobe}
+        by_depth = make_atmosphere(
+            Tabulated.bullrich() if lobe is None else HenyeyGreenstein(lobe),
+            angstrom_exponent, single_scattering_albedo, haze_height, ground_albedo, ozone, pressure,
+        )  # fmt: skip
+    else:
+        held = ("haze", *OF_ATMOSPHERES)
+        refuse(context, held, "`--atmosphere`, whose file holds it")
+        air = atmosphere_of(atmosphere)
+        by_depth = _by_depth(air, atmosphere)
+        given = {name: value for name, value in given.items() if name not in held} | {"atmosphere": describe(air)}
     check_folder(out)
     with progress("simulating skies and fitting") as report:
         result = refit(
@@ -97,14 +119,23 @@ def refit_command(
         )  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
     coefficients, errors, skies = (out / name for name in _OUT_FILES)
-    given = {name: value for name, value in context.params.items() if name != "out"}
-    write_coefficients(result, coefficients, given | {"haze": kind, "asymmetry": lobe})
+    write_coefficients(result, coefficients, given)
     plot_refit(result, errors)
     draw_skies(result, skies, form.value)
     print_refit(result)
     console.print(f"written: {coefficients}, {errors}, {skies}", highlight=False)
     if any(word != "successful" for word in result.result.values()):
         raise typer.Exit(3)
+
+
+def _by_depth(air: "Atmosphere", path: Path) -> Callable:
+    """The atmosphere of a file by its haze's optical depth at 550 nm, which may be traced."""
+    from ..atmosphere import Aerosol, TwoModeAerosol
+
+    haze = air.aerosol if "aerosol" in air else None
+    if not isinstance(haze, Aerosol | TwoModeAerosol):
+        raise ValueError(f"`--atmosphere`: {path}: must hold an `aerosol` of one optical depth for a refit")
+    return lambda depth: air.replace(aerosol=replace(haze, optical_depth=depth))
 
 
 def _haze(form: FormName, haze: HazeName | None, asymmetry: float | None) -> tuple[HazeName, float | None]:

@@ -10,18 +10,21 @@ from .known import SEA_LEVEL_PRESSURE
 from .options import (
     AngstromExponent,
     app,
+    AtmosphereOption,
     GeometryName,
     GeometryOption,
     GroundAlbedo,
     HazeHeight,
     in_range,
     LineShape,
+    OF_ATMOSPHERES,
     OzoneColumn,
     Place,
     PolarisedOption,
     PresetName,
     PresetOption,
     Pressure,
+    refuse,
     SingleScatteringAlbedo,
     SolverOption,
     SunAzimuth,
@@ -29,13 +32,9 @@ from .options import (
 )
 
 
-# what a file of an atmosphere holds
-_OF_ATMOSPHERES = (
-    "angstrom_exponent", "single_scattering_albedo", "asymmetry", "haze_height", "ground_albedo", "ozone", "pressure",
-)  # fmt: skip
 # what only a simulation heeds
 _OF_SIMULATIONS = (
-    *_OF_ATMOSPHERES, "atmosphere", "fwhm", "solver", "preset", "geometry", "polarised",
+    *OF_ATMOSPHERES, "atmosphere", "fwhm", "solver", "preset", "geometry", "polarised",
 )  # fmt: skip
 
 
@@ -61,10 +60,7 @@ def simulate(
     pressure: Pressure = SEA_LEVEL_PRESSURE,
     wavelengths: Annotated[str, typer.Option(help="nm, first:last:step or a,b,c")] = "380:780:10",
     directions: Annotated[Path | None, typer.Option(help="CSV with view_zenith, view_azimuth")] = None,
-    atmosphere: Annotated[
-        Path | None,
-        typer.Option(help="TOML or JSON with constituents and ground, instead of their options"),
-    ] = None,
+    atmosphere: AtmosphereOption = None,
     fwhm: LineShape = None,
     coefficients: Annotated[
         str | None, typer.Option(help="no solver but an analytic sky: published, extended or a coefficients.json")
@@ -162,26 +158,18 @@ def _given_atmosphere(context: typer.Context, path: Path):
     """The atmosphere of a file; refuses the options that it holds."""
     from .models import atmosphere_of
 
-    _refuse(
+    refuse(
         context,
-        ("turbidity", "aerosol_optical_depth", "meteorological_range", *_OF_ATMOSPHERES),
+        ("turbidity", "aerosol_optical_depth", "meteorological_range", *OF_ATMOSPHERES),
         "`--atmosphere`, whose file holds it",
     )
     return atmosphere_of(path)
-
-
-def _refuse(context: typer.Context, options: tuple[str, ...], beside: str) -> None:
-    """A `ValueError` for an option that was typed where another decides."""
-    for held in options:
-        source = context.get_parameter_source(held)
-        if source is not None and source.name == "COMMANDLINE":
-            raise ValueError(f"`--{held.replace('_', '-')}` must be left out with {beside}")
 
 
 def _analytic_sky(context: typer.Context, name: str):
     """The analytic sky of a name or a file, and the lowest sun that it takes, degrees; refuses what it holds itself."""
     from .models import analytic_of
 
-    _refuse(context, _OF_SIMULATIONS, "`--coefficients`, whose atmosphere is that of their fit")
+    refuse(context, _OF_SIMULATIONS, "`--coefficients`, whose atmosphere is that of their fit")
     sky = analytic_of(name, "`--coefficients` must be one of")
     return sky, math.degrees(sky.fitted_sun[1])

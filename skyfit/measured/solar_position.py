@@ -54,8 +54,8 @@ def solar_position(
         altitude=float(altitude),
     )
     pressure = float(alt2pres(altitude) if pressure is None else pressure)
-    lifted = refracted * refraction(90.0 - table["zenith"].to_numpy(np.float64), pressure)
-    zenith = np.deg2rad(table["zenith"].to_numpy(np.float64) - lifted)
+    true = np.asarray(table["zenith"], dtype=np.float64)
+    zenith = np.deg2rad(true - refracted * refraction(90.0 - true, pressure))
     azimuth = np.deg2rad(np.asarray(table["azimuth"], dtype=np.float64))
     return zenith, azimuth
 

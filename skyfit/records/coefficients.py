@@ -17,6 +17,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -63,7 +64,7 @@ _UNITS = {
 }
 
 
-def write_coefficients(refit: Refit, path, settings: Mapping[str, str | float | None] | None = None) -> None:
+def write_coefficients(refit: Refit, path, settings: Mapping[str, Any] | None = None) -> None:
     """Published and refitted coefficients with their errors, in the schema of this module.
 
     **Arguments:** `refit`; `path` of a JSON file; `settings`, what the skies were simulated with, by name.
