@@ -864,7 +864,7 @@ def test_refit_varies_the_haze_of_a_file(skyfit_command, tmp_path):
     """All else in the file stays and is written along; a file without haze is refused."""
     from skyfit.cli.refit import _by_depth
 
-    air = skyfit.Atmosphere.from_optical_depth(0.3, volcano=skyfit.Aerosol(0.02))
+    air = skyfit.Atmosphere(aerosol=skyfit.Aerosol(0.3), volcano=skyfit.Aerosol(0.02))
     by_depth = _by_depth(air, tmp_path)
     assert skyfit.atmosphere.describe(by_depth(0.3)) == skyfit.atmosphere.describe(air)
     assert by_depth(0.7).aerosol.optical_depth == pytest.approx(0.7) and by_depth(0.7).volcano is air.volcano
