@@ -1,0 +1,68 @@
+"""What mkdocs is told besides mkdocs.yml: notebooks run, pictures and pages from outside docs/, formulas without a net."""
+
+import html
+import os
+import re
+import shutil
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from latex2mathml.converter import convert
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File
+
+
+ROOT = Path(__file__).resolve().parents[2]
+MADE = ROOT / "build/docs/notebooks"
+# pages that live at the top of the project
+OUTSIDE = {"contributing.md": "CONTRIBUTING.md", "changelog.md": "CHANGELOG.md"}
+RESULTS = re.compile(r"(?:\.\./)+experiments/results/([\w.-]+\.png)")
+FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
+AT_ONCE = 2
+
+
+def executed(notebook: Path) -> None:
+    """A notebook run from its first cell to its last, as Markdown with its pictures beside it."""
+    to_notebook = sys.executable, "-m", "jupytext", "--quiet", "--to", "ipynb", "--output", "-", notebook
+    to_page = sys.executable, "-m", "nbconvert", "--log-level", "ERROR", "--to", "markdown", "--execute", "--stdin"
+    to_page += "--output-dir", MADE, "--output", notebook.stem
+    made = subprocess.run(to_notebook, capture_output=True, cwd=ROOT)
+    if made.returncode == 0:
+        made = subprocess.run(to_page, input=made.stdout, capture_output=True, cwd=ROOT)
+    if made.returncode != 0:
+        raise PluginError(f"{notebook.name} raised:\n{made.stderr.decode()[-3000:]}")
+
+
+def on_files(files, config):
+    shutil.rmtree(MADE, ignore_errors=True)
+    MADE.mkdir(parents=True)
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        list(pool.map(executed, sorted((ROOT / "docs/notebooks").glob("*.py"))))
+    for path in sorted(MADE.rglob("*.*")):
+        files.append(File.generated(config, f"notebooks/{path.relative_to(MADE)}", abs_src_path=str(path)))
+    for page, path in OUTSIDE.items():
+        files.append(File.generated(config, page, abs_src_path=str(ROOT / path)))
+    for path in sorted((ROOT / "experiments/results").glob("*.png")):
+        files.append(File.generated(config, f"results/{path.name}", abs_src_path=str(path)))
+    return files
+
+
+def on_page_markdown(markdown, page, config, files):
+    """Links out of docs/, as they are right in the checkout, into the site."""
+    up = os.path.relpath(".", os.path.dirname(page.file.src_uri) or ".")
+    markdown = RESULTS.sub(rf"{up}/results/\1", markdown)
+    if page.file.src_uri in OUTSIDE:
+        markdown = markdown.replace("](docs/", "](")
+    return re.sub(r"\]\((?:\.\./)+CONTRIBUTING\.md", f"]({up}/contributing.md", markdown)
+
+
+def on_page_content(content, page, config, files):
+    """Formulas as MathML, which browsers draw themselves."""
+
+    def drawn(found):
+        display = "block" if found[2] == "[" else "inline"
+        return convert(html.unescape(found[3]), display=display)
+
+    return FORMULA.sub(drawn, content)
