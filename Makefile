@@ -5,7 +5,7 @@ PIP := .venv/bin/python -m pip --quiet --disable-pip-version-check
 # two processes: most of a test's time is compilation, which uses one core; the order of the files is conftest's
 PYTEST := .venv/bin/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: help install demo test test-slow lint lock clean
+.PHONY: help install demo test test-slow lint docs lock clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1	/p' Makefile | expand -t 12
@@ -38,6 +38,16 @@ lint: .venv/linters ## ruff and pyright
 	.venv/bin/ruff check
 	.venv/bin/ruff format --check
 	.venv/bin/pyright
+
+.venv/writers: .venv/installed
+	$(PIP) install --constraint requirements.lock --no-build-isolation --editable '.[docs]'
+	@touch $@
+
+# each program of a notebook runs a few times: it is hardly worth optimising, and is kept for the next build
+docs: .venv/writers ## the site of docs/ into build/docs/site: notebooks run, a broken link or a name without words fails
+	PATH="$(CURDIR)/.venv/bin:$$PATH" XLA_FLAGS="--xla_backend_optimization_level=0 $$XLA_FLAGS" \
+	JAX_COMPILATION_CACHE_DIR=$(CURDIR)/build/docs/programs \
+	.venv/bin/python -m mkdocs build --strict --quiet --config-file docs/config/mkdocs.yml
 
 lock: ## requirements.lock anew: the newest versions that a clean environment takes
 	rm -rf .venv/lock

@@ -13,8 +13,14 @@ from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
 
+from skyfit import PARAMETERS
+
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(Path(__file__).parent))
+import names  # noqa: E402
+
+
 MADE = ROOT / "build/docs/notebooks"
 # pages that live at the top of the project
 OUTSIDE = {"contributing.md": "CONTRIBUTING.md", "changelog.md": "CHANGELOG.md"}
@@ -35,6 +41,12 @@ def executed(notebook: Path) -> None:
         raise PluginError(f"{notebook.name} raised:\n{made.stderr.decode()[-3000:]}")
 
 
+def on_pre_build(config):
+    """A public name without a docstring, or on no page of the API, ends the build before the notebooks run."""
+    if missing := [*names.undocumented(), *names.without_a_page()]:
+        raise PluginError(f"without a docstring, or on no page of docs/api: {', '.join(missing)}")
+
+
 def on_files(files, config):
     shutil.rmtree(MADE, ignore_errors=True)
     MADE.mkdir(parents=True)
@@ -49,9 +61,16 @@ def on_files(files, config):
     return files
 
 
+def parameters() -> str:
+    """The table of all parameters of a fit."""
+    rows = ["| name | unit | from | to |", "|---|---|---|---|"]
+    return "\n".join(rows + [f"| `{p.name}` | {p.unit} | {p.lower:g} | {p.upper:g} |" for p in PARAMETERS.values()])
+
+
 def on_page_markdown(markdown, page, config, files):
     """Links out of docs/, as they are right in the checkout, into the site."""
     up = os.path.relpath(".", os.path.dirname(page.file.src_uri) or ".")
+    markdown = markdown.replace("<!-- parameters -->", parameters())
     markdown = RESULTS.sub(rf"{up}/results/\1", markdown)
     if page.file.src_uri in OUTSIDE:
         markdown = markdown.replace("](docs/", "](")
