@@ -448,9 +448,7 @@ def validated(record, iprt, space, recovery, almucantar, measured, bars, twiligh
         return f"{100 * median:.2g} % in the median, {100 * most:.2g} % at most"
 
     def oracle(solver, preset, geometry):
-        rows = [
-            r for r in record["oracles"] if (r["solver"], r["preset"], r["geometry"]) == (solver, preset, geometry)
-        ]
+        rows = [r for r in record["oracles"] if (r["solver"], r["preset"], r["geometry"]) == (solver, preset, geometry)]
         most = min(rows, key=lambda r: r["max_sun_zenith"])
         return errors(most["median_relative_error"], most["max_relative_error"])
 
@@ -488,13 +486,13 @@ def validated(record, iprt, space, recovery, almucantar, measured, bars, twiligh
         ),
         row(
             "in-scattered light before objects", "quadrature of scipy",
-            f"{aerial['errors']['all']['normal, float32']['max_percent']:.2g} % at most", f"{folder}/aerial_perspective",
-            "aerial_perspective",
+            f"{aerial['errors']['all']['normal, float32']['max_percent']:.2g} % at most",
+            f"{folder}/aerial_perspective", "aerial_perspective",
         ),
         row("single scattering to a sun at 95°", "quadrature", oracle("single", "normal", "spherical"), *accuracy),
         row(
-            "the sun's direct spectrum", "SPECTRL2 of pvlib", f"{spectral:.2g} % in the median outside bands, sun to 60°",
-            f"{folder}/sunlight", "sunlight",
+            "the sun's direct spectrum", "SPECTRL2 of pvlib",
+            f"{spectral:.2g} % in the median outside bands, sun to 60°", f"{folder}/sunlight", "sunlight",
         ),
         "",
         "## Another code",
@@ -530,8 +528,8 @@ def validated(record, iprt, space, recovery, almucantar, measured, bars, twiligh
         *head,
         row(
             "eight skies of one morning", "Kider et al. 2014",
-            f"{measured['alone']['all']:.1f} mW m⁻² sr⁻¹ nm⁻¹ RMSE fitted; {measured['peers'][best]['all']:.1f} the best "
-            f"unfitted model of others, {best}", "studies/measured_sky", "measured_sky",
+            f"{measured['alone']['all']:.1f} mW m⁻² sr⁻¹ nm⁻¹ RMSE fitted; {measured['peers'][best]['all']:.1f} the "
+            f"best unfitted model of others, {best}", "studies/measured_sky", "measured_sky",
         ),
         row(
             "the same by halves of their directions", "Kider et al. 2014",

@@ -1,6 +1,8 @@
 """README and docs say what is measured, point to what exists, and their code runs."""
 
+import doctest
 import importlib
+import inspect
 import json
 import os
 import re
@@ -9,7 +11,11 @@ import sys
 import tomllib
 from pathlib import Path
 
+import jax.numpy as jnp
+import numpy as np
 import pytest
+
+import skyfit
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -41,6 +47,18 @@ def test_every_public_name_has_words_and_a_page(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.syspath_prepend(ROOT / "docs/config")
     names = importlib.import_module("names")
     assert names.undocumented() == [] and names.without_a_page() == []
+
+
+def test_the_examples_of_docstrings(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(ROOT)
+    finder, runner = doctest.DocTestFinder(recurse=False), doctest.DocTestRunner()
+    for name in skyfit.__all__:
+        thing = getattr(skyfit, name)
+        if inspect.isclass(thing) or inspect.isroutine(thing):
+            for test in finder.find(thing, name, globs={"jnp": jnp, "np": np, "skyfit": skyfit}):
+                runner.run(test)
+    found = runner.summarize()
+    assert found.failed == 0 and found.attempted >= 30
 
 
 def test_every_page_is_in_the_navigation():

@@ -1,4 +1,4 @@
-"""What mkdocs is told besides mkdocs.yml: notebooks run, pictures and pages from outside docs/, formulas without a net."""
+"""What mkdocs does besides mkdocs.yml: runs notebooks, takes pages and pictures from outside docs/, draws formulas."""
 
 import html
 import os

@@ -21,8 +21,9 @@ import skyfit
 # %% [markdown]
 # ## Three things make a sky
 #
-# An **atmosphere** says what is in the air: here air at sea level, 300 Dobson units of ozone, and haze of turbidity 3.
-# A **scene** says where the sun stands, where you look, and at which wavelengths. A **solver** turns both into radiance.
+# An **atmosphere** says what is in the air: here air at sea level, 300 Dobson units of ozone, and haze
+# (turbidity 3). A **scene** says where the sun stands, where you look, and at which wavelengths. A **solver** turns both
+# into radiance.
 #
 # `draft` is the coarse preset: 0.05 % off in the median. Leave the preset out of your own work and you get `normal`.
 
@@ -37,8 +38,9 @@ radiance = solver.radiance(air, scene)
 radiance.shape
 
 # %% [markdown]
-# The result is an array: 343 directions by 41 wavelengths, in W m⁻² sr⁻¹ nm⁻¹. Zenith angles are measured from straight
-# up, azimuths clockwise from north; inside skyfit all angles are radians, and names that end in `degrees` say otherwise.
+# The result is an array: 343 directions by 41 wavelengths, in W m⁻² sr⁻¹ nm⁻¹. Zenith angles are measured from
+# straight up, azimuths clockwise from north; inside skyfit all angles are radians, and names that end in `degrees`
+# say otherwise.
 
 # %% [markdown]
 # ## The spectrum of the zenith and of the horizon
@@ -58,8 +60,8 @@ plt.show()
 # %% [markdown]
 # ## What a parameter does
 #
-# Every number in the atmosphere can be differentiated by. `jax.jacfwd` gives the change of all 343 × 41 radiances with
-# turbidity in one call.
+# Every number in the atmosphere can be differentiated by. `jax.jacfwd` gives the change of all 343 × 41 radiances
+# with turbidity in one call.
 
 
 # %%
@@ -68,15 +70,17 @@ def sky_of(turbidity):
 
 
 slope = jax.jacfwd(sky_of)(3.0)
-print(f"one more turbidity: zenith {100 * slope[up].sum() / radiance[up].sum():+.0f} %, "
-      f"horizon {100 * slope[low].sum() / radiance[low].sum():+.0f} %")
+print(
+    f"one more turbidity: zenith {100 * slope[up].sum() / radiance[up].sum():+.0f} %, "
+    f"horizon {100 * slope[low].sum() / radiance[low].sum():+.0f} %"
+)
 
 # %% [markdown]
 # ## A picture
 #
-# `render` develops a picture of the whole dome. Simulating a spectrum for each of 60 000 pixels would be a waste: here
-# the analytic sky `ExtendedPreetham` answers, one formula a pixel; give an `Atmosphere` in its place and a solver does.
-# North is up, east is right as on a map, the sun is in the south.
+# `render` develops a picture of the whole dome. Simulating a spectrum for each of 60 000 pixels would be a waste:
+# here the analytic sky `ExtendedPreetham` answers, one formula a pixel; give an `Atmosphere` in its place and a
+# solver does. North is up, east is right as on a map, the sun is in the south.
 
 # %%
 camera = skyfit.Camera("fisheye", 240, 240)

@@ -9,8 +9,8 @@
 # # Invert a scan
 #
 # From a measured sky to the amount and kind of its haze, with error bars. The scan is `data/skies/sample.nc`: 94
-# directions at 33 wavelengths with 1 % noise, made by another solver (sasktran2, with polarisation), so that the truth
-# is known and skyfit did not write it.
+# directions at 33 wavelengths with 1 % noise, made by another solver (sasktran2, with polarisation), so that the
+# truth is known and skyfit did not write it.
 
 # %%
 import json
@@ -24,14 +24,16 @@ import skyfit
 
 jax.config.update("jax_enable_x64", True)
 sky = skyfit.read("data/skies/sample.nc")
-print(f"{sky.radiance.shape[1]} directions, {sky.radiance.shape[2]} wavelengths, "
-      f"sun {np.degrees(sky.sun_zenith[0]):.0f}° from the zenith, {sky.usable.mean():.0%} of the samples usable")
+print(
+    f"{sky.radiance.shape[1]} directions, {sky.radiance.shape[2]} wavelengths, "
+    f"sun {np.degrees(sky.sun_zenith[0]):.0f}° from the zenith, {sky.usable.mean():.0%} of the samples usable"
+)
 
 # %% [markdown]
 # ## Ask
 #
-# `free` names what is to be found. Everything else stays at its value in `start`, or at its default. Here we ask for six
-# numbers. `draft` keeps this page quick to build; leave `solver` out and you get the polarised `normal`.
+# `free` names what is to be found. Everything else stays at its value in `start`, or at its default. Here we ask for
+# six numbers. `draft` keeps this page quick to build; leave `solver` out and you get the polarised `normal`.
 
 # %%
 free = ["aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo", "asymmetry", "ground_albedo", "ozone"]
@@ -41,8 +43,8 @@ print(fit)
 
 # %% [markdown]
 # Read it from the top. *successful*: the search converged. *rmse* is what is left between model and measurement.
-# *reduced chi-square* near 1 says that this is the noise and nothing more. Each line is value ± sigma; sigma contains the
-# noise and the stated error of the model.
+# *reduced chi-square* near 1 says that this is the noise and nothing more. Each line is value ± sigma; sigma contains
+# the noise and the stated error of the model.
 #
 # ## Was it right?
 
@@ -56,8 +58,8 @@ for name, value, sigma in zip(free, fit.values[0], fit.sigma[0]):
 # %% [markdown]
 # ## What each says of the other
 #
-# Two parameters that do nearly the same to the sky cannot be told apart well. The correlation matrix shows such pairs:
-# a red or blue square off the diagonal.
+# Two parameters that do nearly the same to the sky cannot be told apart well. The correlation matrix shows such
+# pairs: a red or blue square off the diagonal.
 
 # %%
 figure, axes = plt.subplots(figsize=(5.4, 4.2), layout="constrained")
@@ -71,8 +73,8 @@ plt.show()
 # %% [markdown]
 # ## The whole fit on a page
 #
-# `skyfit.plot` draws the measured sky, the model, what is left, and the parameters. `skyfit.save` writes `fit.json` with
-# the covariance, or `fit.nc` with the residuals of every sample.
+# `skyfit.plot` draws the measured sky, the model, what is left, and the parameters. `skyfit.save` writes `fit.json`
+# with the covariance, or `fit.nc` with the residuals of every sample.
 
 # %%
 Path("build").mkdir(exist_ok=True)

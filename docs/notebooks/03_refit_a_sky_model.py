@@ -9,8 +9,8 @@
 # # Refit a sky model to air of your own
 #
 # Preetham's formula gives the colour of a sky from turbidity and sun, fast enough for every pixel of every frame. Its
-# published coefficients are those of one haze, and about twice too bright. Here they are fitted anew, to the haze of your
-# choice, and written as a shader.
+# published coefficients are those of one haze, and about twice too bright. Here they are fitted anew, to the haze of
+# your choice, and written as a shader.
 
 # %%
 from pathlib import Path
@@ -23,14 +23,17 @@ import skyfit
 # %% [markdown]
 # ## An atmosphere that depends on turbidity
 #
-# Any function from turbidity to an `Atmosphere` will do. This one is dusty: it scatters forward more strongly than the
-# usual haze, depends less on wavelength, and lies higher.
+# Any function from turbidity to an `Atmosphere` will do. This one is dusty: it scatters forward more strongly than
+# the usual haze, depends less on wavelength, and lies higher.
 
 
 # %%
 def dusty(turbidity):
     return skyfit.Atmosphere.from_turbidity(
-        turbidity, phase=skyfit.HenyeyGreenstein(0.75), angstrom_exponent=0.4, single_scattering_albedo=0.93,
+        turbidity,
+        phase=skyfit.HenyeyGreenstein(0.75),
+        angstrom_exponent=0.4,
+        single_scattering_albedo=0.93,
         profile=skyfit.Exponential(2000.0),
     )
 
@@ -38,8 +41,9 @@ def dusty(turbidity):
 # %% [markdown]
 # ## The fit
 #
-# `refit` simulates a sky for every pair of sun and turbidity, fits all coefficients to all of them, and tests the result
-# on skies that it has not seen. The defaults are 12 suns, 5 turbidities and 343 directions; this page takes fewer.
+# `refit` simulates a sky for every pair of sun and turbidity, fits all coefficients to all of them, and tests the
+# result on skies that it has not seen. The defaults are 12 suns, 5 turbidities and 343 directions; this page takes
+# fewer.
 
 # %%
 solver = skyfit.OrdersOfScattering.draft("flat")
@@ -51,8 +55,8 @@ for name, errors in result.held_out.overall.items():
     print(f"{name:10}  luminance off by {100 * errors.luminance:5.1f} % in the median")
 
 # %% [markdown]
-# *published*: the coefficients of 1999. *refitted*: these. *best five*: the formula fitted to each sky by itself, which is
-# all that it can do. `form="extended"` does better: its coefficients follow turbidity and sun more freely.
+# *published*: the coefficients of 1999. *refitted*: these. *best five*: the formula fitted to each sky by itself,
+# which is all that it can do. `form="extended"` does better: its coefficients follow turbidity and sun more freely.
 #
 # ## Into a shader
 #
@@ -88,5 +92,5 @@ plt.show()
 # %% [markdown]
 # *The simulated sky, the published model, the refit, and how far off the luminance of both is.*
 #
-# The command line does all this with `skyfit refit --out refit` and
-# `skyfit export refit/coefficients.json --to glsl --out sky.glsl`. See [use an analytic sky](../how-to/analytic-skies.md).
+# The command line does all this with `skyfit refit --out refit` and `skyfit export refit/coefficients.json --to glsl
+# --out sky.glsl`. See [use an analytic sky](../how-to/analytic-skies.md).

@@ -8,8 +8,8 @@
 # %% [markdown]
 # # Gradients through the sky
 #
-# Every number in an `Atmosphere` is a leaf that JAX differentiates by. Three uses: what a direction of the sky tells of
-# the haze, where to point an instrument, and a loop of gradient descent through the solver.
+# Every number in an `Atmosphere` is a leaf that JAX differentiates by. Three uses: what a direction of the sky tells
+# of the haze, where to point an instrument, and a loop of gradient descent through the solver.
 
 # %%
 from pathlib import Path
@@ -42,8 +42,8 @@ relative.shape
 # ## Where to point
 #
 # `fisher_information` says what a measurement of each direction, with 2 % noise, tells of all parameters together.
-# `next_directions` then picks, one after the other, those that lessen the error of one of them most. Compare its choice
-# with as many directions taken at random.
+# `next_directions` then picks, one after the other, those that lessen the error of one of them most. Compare its
+# choice with as many directions taken at random.
 
 # %%
 prior = [0.5, 0.1, 0.1, 0.3]
@@ -63,7 +63,10 @@ print(f"sigma of optical depth after 8 directions: {choice.sigma[-1, 0]:.4f} cho
 # %%
 Path("build").mkdir(exist_ok=True)
 skyfit.draw.plot_sensitivity(
-    scene, names, np.asarray(relative), "build/sensitivity.png",
+    scene,
+    names,
+    np.asarray(relative),
+    "build/sensitivity.png",
     chosen=skyfit.Directions(view.zenith[choice.order], view.azimuth[choice.order]),
     sigmas={"chosen": choice.sigma[:, 0], "at random": np.array(random)},
     title="What a clear sky tells: turbidity 3, sun at 50°",
@@ -76,11 +79,12 @@ plt.show()
 # %% [markdown]
 # ## Learn through the solver
 #
-# `invert` is the right tool for fitting one sky. Where the sky is a part of something larger (a renderer, a network), its
-# gradient goes into any optimiser. Here optax's Adam finds the haze that a picture of 60 directions was made with.
+# `invert` is the right tool for fitting one sky. Where the sky is a part of something larger (a renderer, a network),
+# its gradient goes into any optimiser. Here optax's Adam finds the haze that a picture of 60 directions was made
+# with.
 #
-# The optimiser moves three free numbers; exp and the logistic curve keep depth, albedo and asymmetry where they have a
-# meaning.
+# The optimiser moves three free numbers; exp and the logistic curve keep depth, albedo and asymmetry where they have
+# a meaning.
 
 # %%
 few = skyfit.Scene.from_degrees(50, skyfit.hemisphere(60, np.radians(80)), [440, 675, 870], 180)

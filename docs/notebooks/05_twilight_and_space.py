@@ -9,8 +9,8 @@
 # # Twilight and space
 #
 # `Spherical` solves an atmosphere once for every sun from the zenith to 18 degrees below the horizon and for every
-# observer from the ground to space. What comes back is a *field*, which answers scenes. This page sees a dusk from the
-# ground and the Earth's limb from orbit.
+# observer from the ground to space. What comes back is a *field*, which answers scenes. This page sees a dusk from
+# the ground and the Earth's limb from orbit.
 
 # %%
 import matplotlib.pyplot as plt
@@ -27,9 +27,9 @@ print(f"all suns, all heights, {len(colours)} wavelengths: {field.nbytes / 1e6:.
 # %% [markdown]
 # ## A dusk
 #
-# A camera says which way each pixel looks. The field gives radiance there, which becomes X, Y, Z and then a picture, all
-# by one law of exposure. The fisheye looks up, north up and east right as on a map, while the sun goes down in the west.
-# The brightness above each picture is that of the zenith.
+# A camera says which way each pixel looks. The field gives radiance there, which becomes X, Y, Z and then a picture,
+# all by one law of exposure. The fisheye looks up, north up and east right as on a map, while the sun goes down in
+# the west. The brightness above each picture is that of the zenith.
 
 
 # %%
@@ -53,13 +53,13 @@ figure, grid = plt.subplots(2, 3, figsize=(8.4, 6.2), layout="constrained")
 for axes, sun in zip(grid.ravel(), (80, 88, 92, 95, 98, 101)):
     shown, light = photograph(camera, sun)
     axes.imshow(shown, interpolation="bilinear")
-    axes.set_title(f"sun {90 - sun:+}°, zenith {light[60, 60, 1]:.2g} cd m⁻²", fontsize=9)
+    axes.set_title(f"sun {90 - sun:+}°, zenith {light[60, 60, 1]:.3g} cd m⁻²", fontsize=9)
     axes.axis("off")
 plt.show()
 
 # %% [markdown]
-# *The sun sets on the left (west). The glow stays there, the shadow of the Earth rises in the east, and ozone keeps the
-# zenith blue long after sunset.*
+# *The sun sets on the left (west). The glow stays there, the shadow of the Earth rises in the east, and ozone keeps
+# the zenith blue long after sunset.*
 #
 # ## How fast it gets dark
 
@@ -78,8 +78,8 @@ plt.show()
 # %% [markdown]
 # ## From orbit
 #
-# The same field, seen from 400 km. The horizon is 110 degrees from the zenith there, with the thin blue limb of the air
-# above it. The sun sinks toward it straight ahead.
+# The same field, seen from 400 km. The horizon is 110 degrees from the zenith there, with the thin blue limb of the
+# air above it. The sun sinks toward it straight ahead.
 
 # %%
 camera = skyfit.Camera("perspective", 180, 60, azimuth=1.5 * np.pi, elevation=np.radians(-19.6), field_of_view=0.2)

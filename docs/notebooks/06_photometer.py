@@ -11,8 +11,8 @@
 # A sun photometer looks at the sky along a circle at the sun's height, the almucantar, at four wavelengths. This page
 # reads such a file and finds the optical depth of the haze, how much it absorbs, and the sizes of its particles.
 #
-# `data/skies/almucantar.alm` has the layout of AERONET's raw sky scans. Its numbers were made by another solver and its
-# own Mie code (sasktran2), with noise, so that the truth is known. The site is called Nowhere.
+# `data/skies/almucantar.alm` has the layout of AERONET's raw sky scans. Its numbers were made by another solver and
+# its own Mie code (sasktran2), with noise, so that the truth is known. The site is called Nowhere.
 
 # %%
 import json
@@ -31,8 +31,8 @@ for note in sky.notes:
     print("-", note)
 
 # %% [markdown]
-# `read` knows the format by its content and says what it assumed. It found the optical depths of the direct sun in the
-# file beside it (`almucantar.lev20`) and takes them along.
+# `read` knows the format by its content and says what it assumed. It found the optical depths of the direct sun in
+# the file beside it (`almucantar.lev20`) and takes them along.
 #
 # The filters follow each other within minutes, while the sun moves. Each is seen under its own sun.
 
@@ -88,5 +88,5 @@ right.legend(frameon=False, loc="center right", fontsize=8)
 plt.show()
 
 # %% [markdown]
-# On the command line: `skyfit invert data/skies/almucantar.alm --out fit --products`. Which files are known, and what is
-# assumed of each, stands in [read your instrument's file](../how-to/instruments.md).
+# On the command line: `skyfit invert data/skies/almucantar.alm --out fit --products`. Which files are known, and what
+# is assumed of each, stands in [read your instrument's file](../how-to/instruments.md).
