@@ -43,10 +43,7 @@ lint: .venv/linters ## ruff and pyright
 	$(PIP) install --constraint requirements.lock --no-build-isolation --editable '.[docs]'
 	@touch $@
 
-# each program of a notebook runs a few times: it is hardly worth optimising, and is kept for the next build
 docs: .venv/writers ## the site of docs/ into build/docs/site: notebooks run, a broken link or a name without words fails
-	PATH="$(CURDIR)/.venv/bin:$$PATH" XLA_FLAGS="--xla_backend_optimization_level=0 $$XLA_FLAGS" \
-	JAX_COMPILATION_CACHE_DIR=$(CURDIR)/build/docs/programs \
 	.venv/bin/python -m mkdocs build --strict --quiet --config-file docs/config/mkdocs.yml
 
 lock: ## requirements.lock anew: the newest versions that a clean environment takes

@@ -33,6 +33,6 @@ def undocumented() -> list[str]:
 def without_a_page() -> list[str]:
     """Public names that no page of `docs/api/` shows."""
     pages = "\n".join(path.read_text(encoding="utf-8") for path in API.glob("*.md"))
-    shown = set(re.findall(r"^::: skyfit\.(\w+)$", pages, re.MULTILINE))
+    shown = set(re.findall(r"^::: skyfit\.[\w.]*?(\w+)$", pages, re.MULTILINE))
     named = [name for name in skyfit.__all__ if not isinstance(getattr(skyfit, name), types.ModuleType)]
     return [name for name in named if name not in shown]

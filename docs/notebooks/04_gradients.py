@@ -96,8 +96,9 @@ def haze(free):
 
 
 def sky_of(depth, albedo, asymmetry):
-    haze = {"single_scattering_albedo": albedo, "phase": skyfit.HenyeyGreenstein(asymmetry)}
-    return solver.radiance(skyfit.Atmosphere.from_optical_depth(depth, **haze), few)
+    phase = skyfit.HenyeyGreenstein(asymmetry)
+    hazy = skyfit.Atmosphere.from_optical_depth(depth, single_scattering_albedo=albedo, phase=phase)
+    return solver.radiance(hazy, few)
 
 
 seen = sky_of(*true)
