@@ -21,9 +21,9 @@ import skyfit
 # %% [markdown]
 # ## Three things make a sky
 #
-# An **atmosphere** says what is in the air: here air at sea level, 300 Dobson units of ozone, and haze
-# (turbidity 3). A **scene** says where the sun stands, where you look, and at which wavelengths. A **solver** turns both
-# into radiance.
+# An **atmosphere** says what is in the air: here air at sea level, 300 Dobson units of ozone, and haze (turbidity 3).
+# A **scene** says where the sun stands, where you look, and at which wavelengths. A **solver** turns both into
+# radiance.
 #
 # `draft` is the coarse preset: 0.05 % off in the median. Leave the preset out of your own work and you get `normal`.
 
