@@ -25,7 +25,7 @@ import skyfit
 # A **scene** says where the sun stands, where you look, and at which wavelengths. A **solver** turns both into
 # radiance.
 #
-# `draft` is the coarse preset: 0.05 % off in the median. Leave the preset out of your own work and you get `normal`.
+# `draft` is the coarse preset, 0.05 % off in the median. Take `normal` for your own work.
 
 # %%
 air = skyfit.Atmosphere.from_turbidity(3.0)
