@@ -73,6 +73,16 @@ def test_the_version_is_one():
     assert f"\n## {told}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
+def test_what_became_slower_is_told_from_a_slower_machine():
+    regressions = importlib.import_module("experiments.benchmarks.regressions")
+    kept = json.loads(regressions.KEPT.read_text(encoding="utf-8"))
+    twice = {"rows": {name: {"seconds": 2.0 * row["seconds"]} for name, row in kept["rows"].items()}}
+    assert max(abs(change) for change in regressions.changes(kept, twice).values()) < 1e-12
+    twice["rows"]["jacobian flat"]["seconds"] *= 1.5
+    grown = regressions.changes(kept, twice)
+    assert grown["jacobian flat"] == pytest.approx(0.5) and sorted(grown.values())[-2] == pytest.approx(0.0)
+
+
 @pytest.mark.slow
 def test_its_python_runs(tmp_path: Path):
     """The blocks of a page run one after the other, each page by itself; all share one process and its programs."""
