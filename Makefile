@@ -44,7 +44,7 @@ lint: .venv/linters ## ruff and pyright
 	@touch $@
 
 docs: .venv/writers ## the site of docs/ into build/docs/site: notebooks run, a broken link or a name without words fails
-	.venv/bin/python -m mkdocs build --strict --quiet --config-file docs/config/mkdocs.yml
+	NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict --quiet --config-file docs/config/mkdocs.yml
 
 .venv/rivals: .venv/installed
 	$(PIP) install --constraint requirements.lock --no-build-isolation --editable '.[bench]'
