@@ -5,7 +5,7 @@ PIP := .venv/bin/python -m pip --quiet --disable-pip-version-check
 # two processes: most of a test's time is compilation, which uses one core; the order of the files is conftest's
 PYTEST := .venv/bin/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: help install demo test test-slow lint lock clean
+.PHONY: help install demo test test-slow lint docs bench lock clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1	/p' Makefile | expand -t 12
@@ -38,6 +38,22 @@ lint: .venv/linters ## ruff and pyright
 	.venv/bin/ruff check
 	.venv/bin/ruff format --check
 	.venv/bin/pyright
+
+.venv/writers: .venv/installed
+	$(PIP) install --constraint requirements.lock --no-build-isolation --editable '.[docs]'
+	@touch $@
+
+docs: .venv/writers ## the site of docs/ into build/docs/site: notebooks run, a broken link or a name without words fails
+	NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict --quiet --config-file docs/config/mkdocs.yml
+
+.venv/rivals: .venv/installed
+	$(PIP) install --constraint requirements.lock --no-build-isolation --editable '.[bench]'
+	@touch $@
+
+bench: .venv/rivals ## speed beside rivals, and what has become slower since the kept result
+	mkdir -p build
+	.venv/bin/python -m experiments.benchmarks.benchmark --out build/benchmark.json
+	.venv/bin/python -m experiments.benchmarks.regressions build/benchmark.json
 
 lock: ## requirements.lock anew: the newest versions that a clean environment takes
 	rm -rf .venv/lock

@@ -1,4 +1,4 @@
-"""Puts the figures of experiments/results/*.json into README.md and docs/accuracy.md, between their markers."""
+"""Puts the figures of experiments/results/*.json into README.md and pages of docs/, between their markers."""
 
 import json
 import pathlib
@@ -7,6 +7,7 @@ import pathlib
 HERE = pathlib.Path(__file__).resolve().parent
 README = HERE.parent / "README.md"
 ACCURACY = HERE.parent / "docs" / "accuracy.md"
+VALIDATION = HERE.parent / "docs" / "validation.md"
 RESULT = HERE / "results" / "accuracy.json"
 BENCHMARK = HERE / "results" / "benchmark.json"
 REFIT = HERE / "results" / "refit.json"
@@ -22,9 +23,13 @@ SPACE = HERE / "results" / "space.json"
 IPRT = HERE / "results" / "iprt.json"
 ALMUCANTARS = HERE / "results" / "almucantars.json"
 BARS = HERE / "results" / "error_bars.json"
+TWILIGHT = HERE / "results" / "twilight.json"
+SUNLIGHT = HERE / "results" / "sunlight.json"
+CONTINUITY = HERE / "results" / "continuity.json"
 GEOMETRIES = ("flat", "spherical")
 TABLES = "<!-- figures of experiments/results/accuracy.json -->", "<!-- end of figures -->"
 SUMMARY = "<!-- summary of experiments/results -->", "<!-- end of summary -->"
+VALIDATED = "<!-- validation of experiments/results -->", "<!-- end of validation -->"
 PRINTED = "<!-- printed fit of experiments/results/accuracy.json -->", "<!-- end of printed fit -->"
 
 
@@ -433,6 +438,111 @@ def ground_to_space(record: dict) -> str:
     return "\n".join(lines)
 
 
+def validated(record, iprt, space, recovery, almucantar, measured, bars, twilight, sunlight, continuity, aerial) -> str:
+    """What was compared, with whose, what came out, and which files say so: in three parts, by who made the other."""
+
+    def row(what, whose, figure, script, result):
+        return f"| {what} | {whose} | {figure} | `{script}.py`, `{result}.json` |"
+
+    def errors(median, most):
+        return f"{100 * median:.2g} % in the median, {100 * most:.2g} % at most"
+
+    def oracle(solver, preset, geometry):
+        rows = [r for r in record["oracles"] if (r["solver"], r["preset"], r["geometry"]) == (solver, preset, geometry)]
+        most = min(rows, key=lambda r: r["max_sun_zenith"])
+        return errors(most["median_relative_error"], most["max_relative_error"])
+
+    tables_of = {(r["preset"], r["polarised"]): r for r in record["vector"]["rows"]}
+    natraj = tables_of["fine", True]
+    cases = {name: case for name, case in iprt["fine"].items() if "splines" not in name}
+    z = max(case[stokes]["z rms"] for case in cases.values() for stokes in "IQU")
+    ranges = space["solvers"]["spherical"]["ranges"]
+    dusk, night = ranges["sun 89-96"], ranges["sun 96-108"]
+    depth = recovery["sasktran2 flat, normal"]["parameters"]["aerosol_optical_depth"]
+    both = almucantar["summary"]["aerosol_optical_depth_440"]
+    halves = bars["halves"]["particles"]["parameters"]["aerosol_optical_depth"]
+    off = {
+        name: max(abs(a - b) for a, b in zip(band["model"], band["measured"], strict=True))
+        for name, band in twilight["bands"].items()
+    }
+    direct = sunlight["spectrl2_direct_normal"]
+    spectral = max(r["median_abs_percent"] for r in direct if r["sun_zenith_deg"] <= 60.0)
+    jumps = max(part["all"]["largest"] for part in continuity["through sunset"].values())
+    best = min(measured["peers"], key=lambda name: measured["peers"][name]["all"])
+    head = ["| what | whose | what came out | script, result file |", "|---|---|---|---|"]
+    accuracy, folder = ("validation/accuracy", "accuracy"), "validation"
+    return "\n".join([
+        "## Published truth",
+        "",
+        *head,
+        row(
+            "polarised light of air, optical depth to 1", "tables of Natraj et al. 2009",
+            f"`fine`: I {errors(natraj['median_relative_error'], natraj['max_relative_error'])}; Q and U over I "
+            f"{100 * natraj['max_error_q_u_over_i']:.2g} % at most", *accuracy,
+        ),
+        row(
+            "polarised light at every height, cases A1-A3, B1, B2", "IPRT, Emde et al. 2015, by MYSTIC",
+            f"`fine`: deviations are {z:.2f} of MYSTIC's own standard errors at most (rms)", f"{folder}/iprt", "iprt",
+        ),
+        row(
+            "in-scattered light before objects", "quadrature of scipy",
+            f"{aerial['errors']['all']['normal, float32']['max_percent']:.2g} % at most",
+            f"{folder}/aerial_perspective", "aerial_perspective",
+        ),
+        row("single scattering to a sun at 95°", "quadrature", oracle("single", "normal", "spherical"), *accuracy),
+        row(
+            "the sun's direct spectrum", "SPECTRL2 of pvlib",
+            f"{spectral:.2g} % in the median outside bands, sun to 60°", f"{folder}/sunlight", "sunlight",
+        ),
+        "",
+        "## Another code",
+        "",
+        *head,
+        row("all orders, flat", "nanodisort, 32 streams", oracle("orders", "normal", "flat"), *accuracy),
+        row("all orders, spherical", "backward Monte Carlo", oracle("orders", "normal", "spherical"), *accuracy),
+        row(
+            "ground to space, sun at 89-96°", "backward Monte Carlo", errors(dusk["median"], dusk["worst"]),
+            f"{folder}/space", "space",
+        ),
+        row(
+            "ground to space, sun at 96-108°", "backward Monte Carlo", errors(night["median"], night["worst"]),
+            f"{folder}/space", "space",
+        ),
+        row(
+            "retrieval of 100 skies, 1 % noise", "sasktran2",
+            f"{100 * depth['share within 2 sigma']:.0f} % of optical depths within two sigma", f"{folder}/recovery",
+            "recovery",
+        ),
+        row(
+            f"retrieval of {len(almucantar['cases'])} almucantars", "sasktran2 and its Mie code",
+            f"optical depth at 440 nm {both['sky']['rms']:.2g} off (rms) from the sky alone, {both['beam']['rms']:.2g} "
+            "with the beam", f"{folder}/almucantars", "almucantars",
+        ),
+        row(
+            "no step through sunset", "itself, every 0.01° of the sun",
+            f"what bends from one to the next is {100 * jumps:.2g} % at most", f"{folder}/continuity", "continuity",
+        ),
+        "",
+        "## Measured",
+        "",
+        *head,
+        row(
+            "eight skies of one morning", "Kider et al. 2014",
+            f"{measured['alone']['all']:.1f} mW m⁻² sr⁻¹ nm⁻¹ RMSE fitted; {measured['peers'][best]['all']:.1f} the "
+            f"best unfitted model of others, {best}", "studies/measured_sky", "measured_sky",
+        ),
+        row(
+            "the same by halves of their directions", "Kider et al. 2014",
+            f"optical depths differ by {halves['rms']:.2f} of their sigma (rms)", f"{folder}/error_bars", "error_bars",
+        ),
+        row(
+            "the zenith after sunset, sun to 103°, nothing fitted", "Patat et al. 2006, Paranal",
+            ", ".join(f"{name} {value:.1f}" for name, value in off.items()) + " mag at most", f"{folder}/twilight",
+            "twilight",
+        ),
+    ])  # fmt: skip
+
+
 def between(text: str, marks: tuple[str, str], content: str) -> str:
     """The text with other content between two marks."""
     before, rest = text.split(marks[0])
@@ -463,7 +573,13 @@ def updated() -> dict[pathlib.Path, str]:
     )
     readme = between(README.read_text(), SUMMARY, summary(record, measured, recovery, refit, read(SPACE)))
     readme = between(readme, PRINTED, f"```\n{record['sample']['printed']}\n```")
-    return {README: readme, ACCURACY: between(ACCURACY.read_text(), TABLES, tables_of)}
+    compared = (record, read(IPRT), read(SPACE), recovery, read(ALMUCANTARS), measured, read(BARS))
+    compared += (read(TWILIGHT), read(SUNLIGHT), read(CONTINUITY), read(AERIAL))
+    return {
+        README: readme,
+        ACCURACY: between(ACCURACY.read_text(), TABLES, tables_of),
+        VALIDATION: between(VALIDATION.read_text(), VALIDATED, validated(*compared)),
+    }
 
 
 if __name__ == "__main__":

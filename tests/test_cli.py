@@ -431,6 +431,7 @@ def test_help_loads_no_more_than_it_says(python, tmp_path):
         assert not roots & {"equinox", "jax", "jaxlib", "jaxtyping", "matplotlib", "numpy", "rich", "scipy"}, command
         own = {name for name in modules if name.split(".")[0] == "skyfit"}
         assert all(name == "skyfit" or name.startswith("skyfit.cli") for name in own) and len(own) < 13, command
+    assert done.stdout.count("Example: skyfit ") == 7
     for words in ("OrdersOfScattering.normal", "polarised", "float64", *skyfit.transport.SOLVERS):
         assert words in done.stdout, words
 

@@ -39,6 +39,12 @@ class ExtendedPreetham(AbstractAnalyticSky):
     the skies they were fitted to. **Valid:** that range; beyond the one above the value at its edge holds. The shipped
     x + y exceeds 1, a negative Z, in the last degree above the horizon of pure air under a sun beyond 88 degrees.
     **Source:** `skyfit.refit(form="extended")`; the shipped ones by experiments/studies/refit.py.
+
+    **Example:**
+
+        >>> sky = skyfit.ExtendedPreetham.shipped()
+        >>> bool(sky.valid(3.0, np.radians(80.0))), bool(sky.valid(12.0, np.radians(80.0)))
+        (True, False)
     """
 
     coefficients: Float[Array, "3 6 turbidity sun"]

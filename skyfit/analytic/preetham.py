@@ -28,6 +28,12 @@ class Preetham(AbstractAnalyticSky):
     and most of the sky is negative below.
 
     **Source:** Preetham 1999 A.2. The fit there is to simulations of turbidity 2 to 6.
+
+    **Example:**
+
+        >>> scene = skyfit.Scene.from_degrees(60, skyfit.hemisphere(10), [450, 550, 650])
+        >>> skyfit.Preetham.published().xyz(3.0, scene).shape
+        (10, 3)
     """
 
     distribution: Float[Array, "3 5 2"]

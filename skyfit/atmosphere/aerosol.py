@@ -19,6 +19,12 @@ class Aerosol(AbstractConstituent):
     [0, 1] and its slope per unit of x; `phase`; `profile`; `angstrom_curvature` gamma, -3 to 3, -0.5 of fine smoke.
     Source: Angstrom 1929; gamma: Eck et al. 1999, J. Geophys. Res. 104, 31333. Scale height 1.2 km: Preetham 1999,
     A.4 (0.8333 /km).
+
+    **Example:**
+
+        >>> haze = skyfit.Aerosol(0.1, angstrom_exponent=1.0)
+        >>> round(float(haze.optical_depth_at(1100.0)), 3)
+        0.05
     """
 
     optical_depth: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(0.0, 1e3))

@@ -52,6 +52,14 @@ class Atmosphere(eqx.Module):
     `atmosphere.dust` or `atmosphere["dust"]` is a constituent, `"dust" in atmosphere` whether there is one; `replace`
     makes another atmosphere. `names` and `constituents` are in one order: rayleigh, aerosol, ozone, then the others as
     they were given.
+
+    **Example:**
+
+        >>> air = skyfit.Atmosphere(aerosol=skyfit.Aerosol(0.1), smoke=skyfit.Aerosol(0.02))
+        >>> air.names
+        ('rayleigh', 'aerosol', 'ozone', 'smoke')
+        >>> air.replace(ozone=None).names
+        ('rayleigh', 'aerosol', 'smoke')
     """
 
     names: tuple[str, ...] = eqx.field(static=True)

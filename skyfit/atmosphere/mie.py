@@ -221,6 +221,12 @@ class TwoModeAerosol(AbstractConstituent):
     J. Geophys. Res. 105, 20673. Defaults: Dubovik et al. 2002, J. Atmos. Sci. 59, 590, Table 1, urban-industrial
     aerosol at Goddard Space Flight Center for an optical depth of 0.3 at 440 nm; its volumes give a fine fraction of
     0.91 here.
+
+    **Example:**
+
+        >>> haze = skyfit.TwoModeAerosol(0.2, fine_fraction=0.8)
+        >>> round(float(haze.optical_depth_at(np.array([550.0]))[0]), 3)
+        0.2
     """
 
     optical_depth: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(0.0, 1e3))

@@ -169,6 +169,13 @@ class HenyeyGreenstein(AbstractPhase):
 
     `asymmetry` g in [-0.999, 0.999]. Source: Henyey & Greenstein 1941. Klassen 1987, eq. 1 and Hoffman & Preetham 2002
     print the numerator $(1-g)^2$ and signs of their own: neither integrates to one.
+
+    **Example:**
+
+        >>> phase = skyfit.HenyeyGreenstein(0.7)
+        >>> forward, back = phase.at_angle(np.radians([0.0, 180.0]), np.array([550.0]))[:, 0]
+        >>> round(float(forward / back))
+        182
     """
 
     asymmetry: Float[Array, ""] = eqx.field(converter=as_float, metadata=_ASYMMETRY)

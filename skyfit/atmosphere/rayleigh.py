@@ -65,6 +65,11 @@ class Rayleigh(AbstractConstituent):
 
     `pressure` at the ground, 2000 to 120000 Pa (no air at all is an `Atmosphere` without it); `formula` "bodhaine"
     (default) or "paper" (n = 1.0003, 17 % larger).
+
+    **Example:**
+
+        >>> round(float(skyfit.Rayleigh().optical_depth_at(np.array([550.0]))[0]), 4)
+        0.0971
     """
 
     pressure: Float[Array, ""] = eqx.field(

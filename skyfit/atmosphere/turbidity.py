@@ -77,6 +77,11 @@ def turbidity_to_optical_depth(turbidity, relation: Relation = "definition"):
     traced ones go on along the line, to negative haze.
     **Source:** Preetham 1999, sec. 2.1, T = (t_m + t_h) / t_m at 550 nm; A.1; A.3 and the scale height of A.4. A.3
     prints $10^{-16}$: the haze of T = 2 would then have an optical depth of 9.5 and T by sec. 2.1 be 80.8.
+
+    **Example:**
+
+        >>> round(float(skyfit.turbidity_to_optical_depth(3.0)), 3)
+        0.194
     """
     slope, offset = _line(relation)
     check_turbidity(turbidity, -offset / slope)
@@ -87,7 +92,13 @@ def turbidity_to_optical_depth(turbidity, relation: Relation = "definition"):
 
 
 def optical_depth_to_turbidity(optical_depth, relation: Relation = "definition"):
-    """The inverse of `turbidity_to_optical_depth`; a concrete `optical_depth` below 0 is a `ValueError`."""
+    """The inverse of `turbidity_to_optical_depth`; a concrete `optical_depth` below 0 is a `ValueError`.
+
+    **Example:**
+
+        >>> round(float(skyfit.optical_depth_to_turbidity(0.194)), 1)
+        3.0
+    """
     check_range("optical_depth", optical_depth, 0.0, 1e3)
     slope, offset = _line(relation)
     return (optical_depth - offset) / slope
@@ -113,6 +124,11 @@ def meteorological_range(turbidity, haze_scale_height=HAZE_SCALE_HEIGHT, air_opt
     1200 m: the paper's Fig. 3, as SLIB's author read it ($\log_2 R = 9 / 1.55^{\log_2 T} - 0.5$, km), has 362, 40, 9.5
     and 3.0 km for these turbidities.
     **Source:** Preetham 1999, sec. 2.1 (Koschmieder's law, contrast 0.02).
+
+    **Example:**
+
+        >>> round(float(skyfit.meteorological_range(3.0)) / 1e3)
+        23
     """
     check_turbidity(turbidity)
     air, haze = _extinctions(haze_scale_height, air_optical_length)
@@ -125,6 +141,11 @@ def turbidity_from_range(distance, haze_scale_height=HAZE_SCALE_HEIGHT, air_opti
     **Arguments:** `distance`, the range in m; the rest as there. **Returns:** dimensionless.
     **Valid:** ranges from 1 m, else `ValueError` (traced shorter ones are taken as 1 m), to that of pure air, beyond
     which it is 1.
+
+    **Example:**
+
+        >>> round(float(skyfit.turbidity_from_range(skyfit.meteorological_range(3.0))), 3)
+        3.0
     """
     check_range("distance", distance, _SHORTEST_RANGE, np.inf, "m")
     air, haze = _extinctions(haze_scale_height, air_optical_length)

@@ -9,7 +9,7 @@ from .asked_of_files import Altitude, Latitude, Longitude, ResponseOption, Times
 from .options import app, LineShape
 
 
-@app.command("convert")
+@app.command("convert", epilog="Example: skyfit convert scan.alm --to sky.nc")
 def convert_command(
     file: Annotated[Path, typer.Argument(help="of an instrument, NetCDF, CSV or a folder of ASD text exports")],
     to: Annotated[Path, typer.Option(help="file to write, .nc or .csv")],

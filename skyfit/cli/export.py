@@ -18,7 +18,7 @@ class LanguageName(StrEnum):
     python = "python"
 
 
-@app.command()
+@app.command(epilog="Example: skyfit export refit/coefficients.json --to glsl --out sky.glsl")
 def export(
     context: typer.Context,
     sky: Annotated[

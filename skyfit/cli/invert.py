@@ -37,7 +37,7 @@ _GROUPS = 10
 _WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 
 
-@app.command("invert")
+@app.command("invert", epilog="Example: skyfit invert scan.nc --out fit --prior ozone=310,15")
 def invert_command(
     sky: Annotated[Path, typer.Argument(help="of an instrument, NetCDF, CSV or a folder of ASD text exports")],
     out: OutFolder,
@@ -139,7 +139,7 @@ def invert_command(
     console.print(f"written: {written}", highlight=False)
 
 
-@app.command("predict")
+@app.command("predict", epilog="Example: skyfit predict fit/fit.json --at other.nc --out predicted.nc")
 def predict_command(
     fit: Annotated[Path, typer.Argument(help="fit.json of skyfit invert")],
     at: Annotated[Path, typer.Option(help="a sky whose times, directions and wavelengths are wanted")],

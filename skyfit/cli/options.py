@@ -11,7 +11,7 @@ from .known import SOLVER_NAMES
 
 
 app = typer.Typer(
-    add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None,
+    no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None,
     help="A differentiable daylight sky: simulate it, fit it, refit Preetham's model.",
 )  # fmt: skip
 

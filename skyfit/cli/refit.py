@@ -52,7 +52,7 @@ class HazeName(StrEnum):
 _OUT_FILES = ("coefficients.json", "errors.png", "skies.png")
 
 
-@app.command("refit")
+@app.command("refit", epilog="Example: skyfit refit --out refit --form extended")
 def refit_command(
     context: typer.Context,
     out: OutFolder,

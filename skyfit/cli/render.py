@@ -61,7 +61,7 @@ _SIZES = {
 }  # fmt: skip
 
 
-@app.command()
+@app.command(epilog="Example: skyfit render --sun-zenith 85 --turbidity 3 --out dusk.png")
 def render(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="picture to write: .exr or .hdr, linear, or .png, developed")],

@@ -38,7 +38,7 @@ _OF_SIMULATIONS = (
 )  # fmt: skip
 
 
-@app.command()
+@app.command(epilog="Example: skyfit simulate --sun-zenith 60 --turbidity 3 --out sky.nc")
 def simulate(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="file to write, .nc or .csv")],

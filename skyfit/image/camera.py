@@ -34,6 +34,11 @@ class Camera:
     `azimuth`, clockwise from north, of the middle column, or of a cube's face ahead; `elevation` of the middle of a
     perspective picture; `field_of_view`, by default pi of a fisheye and 70 degrees of a pinhole: radians, all of them.
     **Errors:** `ValueError` for what is out of range.
+
+    **Example:**
+
+        >>> skyfit.Camera("fisheye", 64, 64).views().shape
+        (3, 64, 64)
     """
 
     projection: Projection = "equirect"

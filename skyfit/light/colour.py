@@ -51,6 +51,12 @@ def xyY(
 
     **Arguments, valid, source:** as `xyz`.
     **Returns:** as `xyY_from_xyz`.
+
+    **Example:**
+
+        >>> x, y, _ = skyfit.xyY(jnp.ones(41), np.arange(380.0, 781.0, 10.0))
+        >>> round(float(x), 2), round(float(y), 2)
+        (0.33, 0.33)
     """
     return xyY_from_xyz(xyz(radiance, wavelength_nm))
 

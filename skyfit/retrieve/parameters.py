@@ -197,6 +197,7 @@ _LIST = (
     ),
 )  # fmt: skip
 PARAMETERS: dict[str, Parameter] = {p.name: p for p in _LIST}
+"""All that can be fitted, by name: unit, bounds (`lower`, `upper`), and the place of each in the model."""
 # what a sky scan determines, and the pointing that it needs: with haze of two lobes, and of spheres in two modes
 LOBES_FREE = tuple(p.name for p in _LIST if "lobes" in p.usual)
 PARTICLE_FREE = tuple(p.name for p in _LIST if "particles" in p.usual)

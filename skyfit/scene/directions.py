@@ -48,6 +48,12 @@ class Directions(Ranged):
 
     Zenith angles are from 0 to pi. Azimuth is clockwise from north, to two turns either way. `weight` is in steradians
     and sums to 2 pi over a hemisphere.
+
+    **Example:**
+
+        >>> west = skyfit.Directions.from_degrees([30, 60], 270)
+        >>> np.degrees(west.zenith).round(3).tolist()
+        [30.0, 60.0]
     """
 
     zenith: Float[Array, " direction"] = eqx.field(converter=as_float, metadata=radians_within(0.0, np.pi))
@@ -79,6 +85,12 @@ def hemisphere(count: int = 343, max_zenith: float = np.pi / 2) -> Directions:
     **Returns:** `Directions` with weights in sr.
     **Valid:** 0 < max_zenith <= pi/2.
     **Source:** Swinbank & Purser 2006, Fibonacci grids. 343 is the number Preetham 1999, sec. 3.2, simulated.
+
+    **Example:**
+
+        >>> view = skyfit.hemisphere(343)
+        >>> view.zenith.shape, round(float(view.weight.sum() / np.pi), 4)
+        ((343,), 2.0)
     """
     if count < 1 or not 0.0 < max_zenith <= np.pi / 2 + 1e-9:
         raise ValueError(f"`count` must be >= 1 and `max_zenith` in (0, pi/2], got {count} and {max_zenith}")
@@ -99,6 +111,12 @@ def unit_vectors(
 
     **Arguments:** zenith angle and azimuth clockwise from north, radians, of one shape.
     **Returns:** dimensionless, `[3, direction]`. **Valid:** zenith angles from 0 to pi, azimuths to two turns.
+
+    **Example:**
+
+        >>> east = skyfit.unit_vectors(np.pi / 2, np.pi / 2)
+        >>> [round(float(v)) for v in east]
+        [1, 0, 0]
     """
     check_radians("zenith", zenith, 0.0, np.pi)
     check_radians("azimuth", azimuth, -MOST_AZIMUTH, MOST_AZIMUTH)
@@ -114,6 +132,11 @@ def fisheye(size: int, mirrored: bool = False) -> Float[Array, "3 row column"]:
     **Arguments:** `size`, pixels across, >= 1; `mirrored`: east left, as all-sky cameras have it.
     **Returns:** dimensionless, `[3, row, column]`, the top row first.
     **Valid:** the corners lie below the horizon, z < 0.
+
+    **Example:**
+
+        >>> skyfit.fisheye(256).shape
+        (3, 256, 256)
     """
     if size < 1:
         raise ValueError(f"`size` must be >= 1, got {size}")

@@ -27,6 +27,12 @@ class Scene(Ranged):
 
     **Valid:** zenith angle 0 to pi, azimuth to two turns, light and height not negative, else `ValueError` where they
     are not traced.
+
+    **Example:**
+
+        >>> scene = skyfit.Scene.from_degrees(60, skyfit.hemisphere(10), [450, 550, 650])
+        >>> scene.view.zenith.shape, scene.solar_irradiance.shape
+        ((10,), (3,))
     """
 
     sun_zenith: Float[Array, ""] = eqx.field(converter=as_float, metadata=radians_within(0.0, np.pi))

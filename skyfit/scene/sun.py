@@ -56,6 +56,12 @@ def short_sun_position(
     **Source:** Preetham 1999, A.6, which prints $\cos l \sin\delta$ without its minus and the arc tangent of a
     quotient: at Ithaca, 27 May, 8:00 EST, 54.8 degrees east of south, where the sun stands 87.3. The azimuth is
     turned here from west of south to the house's.
+
+    **Example:**
+
+        >>> zenith, azimuth = skyfit.short_sun_position(12.0, 172, np.radians(40.0))
+        >>> round(float(np.degrees(zenith)), 1), round(float(np.degrees(azimuth)))
+        (16.6, 180)
     """
     check_radians("latitude", latitude, -0.5 * math.pi, 0.5 * math.pi)
     hour = jnp.pi / 12.0 * jnp.asarray(solar_hours)

@@ -161,6 +161,12 @@ class SingleScattering(AbstractSolver):
     scatterers: 1e-5 by day, 1e-2 in twilight. In spherical geometry the air above 100 km scatters nothing: 4e-6 of it.
     Polarisation changes nothing of the radiance of light scattered once.
     **Source:** Nishita et al. 1993; Bruneton & Neyret 2008, sec. 3; ERRATA of the papers on sun distances.
+
+    **Example:**
+
+        >>> scene = skyfit.Scene.from_degrees(60, skyfit.hemisphere(10), [450, 550, 650])
+        >>> skyfit.SingleScattering().radiance(skyfit.Atmosphere.from_turbidity(3.0), scene).shape
+        (10, 3)
     """
 
     nodes: int = eqx.field(static=True, default=24, metadata=within(1.0, np.inf))

@@ -48,6 +48,12 @@ def read(
 
     **Valid** what cannot be understood is a one-line `ValueError` that names the file, the row or
     the column, what was expected and what was found.
+
+    **Example:**
+
+        >>> sky = skyfit.read("data/skies/sample.nc")
+        >>> sky.radiance.shape, sky.masked
+        ((1, 94, 33), {})
     """
     path = Path(path)
     given = {
