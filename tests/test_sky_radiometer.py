@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from instrument_files import CURRENTS, dt5_scan, ins_para
 from made_skies import by_hand, SOLVER
+from typer.testing import CliRunner
 
 import skyfit
+from skyfit.cli import app
 from skyfit.light import extraterrestrial_irradiance
 from skyfit.measured import read, solar_position, write_sky
 
@@ -206,3 +208,17 @@ def test_a_scan_without_its_calibration_is_refused(tmp_path, almucantar):
     (tmp_path / "ins.para").write_text("- instrument -\nPS1\n30\n 7 : NW\n3e-5\n")
     with pytest.raises(ValueError, match=r"^ins\.para: row 5: expected 7 numbers, wavelengths in cm, found 1"):
         read(tmp_path / "a" / "scan.DT5")
+
+
+def test_convert_shows_what_was_understood(tmp_path, almucantar):
+    out = tmp_path / "sky.nc"
+    call = ["convert", str(written(tmp_path, almucantar[0])), "--to", str(out)]
+    done = CliRunner().invoke(app, call, env={"COLUMNS": "80"})
+    assert done.exception is None, done.exception
+    printed = " ".join(done.output.split())
+    for part in (
+        "scan.DT5: PREDE sky radiometer PS1: almucantar", "times 1: 2024-06-20T23:00:00Z",
+        "wavelengths 5: 400, 500, 675, 870, 1020 nm, line shape 10 nm", "beam direct normal irradiance, 5 of 5",
+    ):  # fmt: skip
+        assert part in printed, part
+    np.testing.assert_allclose(read(out).radiance[0], almucantar[1], rtol=DIGITS)
