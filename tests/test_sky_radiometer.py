@@ -179,7 +179,7 @@ def test_a_wavelength_that_is_there_twice_begins_a_scan_of_its_own(tmp_path, alm
         (lambda text: text.replace("    3.0  ", "    3.O  ", 1), ["row 10", "expected 15 numbers", "found 2, then 'O"]),
         (lambda text: text.replace("2024 06 21", "2024 06 31"), ["row 1", "year, month and day, found 2024 6 31"]),
         (lambda text: text.replace(" 08 00 00", " 25 00 00"), ["row 1", "an hour of the day, found 25"]),
-        (lambda text: text.replace("1.0162", "1.5162"), ["`sun_distance_au`: expected 0.98 to 1.02"]),
+        (lambda text: text.replace("1.0162", "1.5162"), ["row 1", "the sun at 0.98 to 1.02 au, found 1.5162"]),
         (lambda text: text.replace("    0.0  ", "   12.0  "), ["row 1", "the first view toward the sun"]),
         (lambda text: text.replace(f"{SUN[0]:.1f}", "91.0"), ["row 1", "zenith angle in [0, 90), found 91"]),
         (

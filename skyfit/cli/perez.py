@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from .asked_of_files import Altitude, Latitude, Longitude, read_asked, ResponseOption, Times, UtcOffset
+from .asked_of_files import Altitude, Latitude, Longitude, MaskSun, read_asked, ResponseOption, Times, UtcOffset
 from .options import app, check_file, in_range
 
 
@@ -14,7 +14,7 @@ def perez_command(
     sky: Annotated[Path, typer.Argument(help="of an instrument, NetCDF, CSV or a folder of ASD text exports")],
     out: Annotated[Path, typer.Option(help="CSV file to write")],
     each: Annotated[bool, typer.Option("--each", help="each wavelength, not luminance")] = False,
-    mask_sun: Annotated[float | None, typer.Option(help="leave out samples within so many degrees of the sun")] = None,
+    mask_sun: MaskSun = None,
     times: Times = None,
     response: ResponseOption = None,
     latitude: Latitude = None,

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from .asked_of_files import Altitude, Latitude, Longitude, read_asked, Times, UtcOffset
-from .invert import FreeOption
+from .invert import FreeOption, PriorOption
 from .options import (
     app,
     check_file,
@@ -32,7 +32,7 @@ def sensitivity_command(
     turbidity: Annotated[float, typer.Option(help="of the atmosphere, Preetham's")] = 3.0,
     atmosphere: Annotated[Path | None, typer.Option(help="instead: TOML or JSON, as simulate takes it")] = None,
     free: FreeOption = None,
-    prior: Annotated[list[str] | None, typer.Option(help="name=value,sigma known before, or name=none")] = None,
+    prior: PriorOption = None,
     relative: Annotated[float, typer.Option(help="noise, share of each sample")] = 0.02,
     count: Annotated[int, typer.Option("--next", help="how many further directions to choose")] = 10,
     interest: Annotated[str | None, typer.Option(help="names that these are to tell best (default: all)")] = None,

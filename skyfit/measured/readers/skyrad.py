@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from ...light import extraterrestrial_irradiance
 from ...light.solar import SPECTRUM_NM
+from ..possible import STATION_RANGES
 from ..quality.placed_sun import cosine_from_sun
 from ..samples import Sky
 from .scans import ALMUCANTAR, FILTER_FWHM_NM, PRINCIPAL_PLANE, series_of, Sweep
@@ -150,7 +151,7 @@ def read_skyrad(path: Path, station: dict[str, float]) -> Sky:
     known = _known_filters(path.name, scans, beside, notes)
     width = station.get("fwhm_nm", FILTER_FWHM_NM)
     sunlight = dict(zip(known, np.asarray(extraterrestrial_irradiance(np.array(known), width), float), strict=True))
-    sweeps = [sweep for scan in scans for sweep in _sweeps(path.name, scan, beside, sunlight)]
+    sweeps = [sweep for scan in scans for sweep in _sweeps(scan, beside, sunlight)]
     _say_what_lacks(scans, sweeps, notes)
     longitude, latitude, altitude = scans[0].place
     told = {"latitude": latitude, "longitude": longitude, "altitude_m": altitude}
@@ -190,11 +191,14 @@ def _scan(records: Records) -> Scan:
     values = np.where(values > 0.0, values, np.nan)
     if not 0.0 <= zenith < 90.0:
         raise ValueError(f"{records.name}: row {row}: expected the sun's zenith angle in [0, 90), found {zenith:g}")
-    from_sun = _degrees_from_sun(zeniths[0], azimuths[0], zenith)
-    if np.nanmax(np.where(np.isfinite(values[0]), from_sun, 0.0)) > _TOWARD:
+    low, high, _ = STATION_RANGES["sun_distance_au"]
+    if not low <= distance <= high:
+        raise ValueError(f"{records.name}: row {row}: expected the sun at {low:g} to {high:g} au, found {distance:g}")
+    from_sun = np.nan_to_num(_degrees_from_sun(zeniths[0], azimuths[0], zenith)) * np.isfinite(values[0])
+    if from_sun.max() > _TOWARD:
         raise ValueError(
-            f"{records.name}: row {row}: expected the first view toward the sun, found it {np.nanmax(from_sun):.1f} "
-            "degrees off"
+            f"{records.name}: row {row}: expected the first view toward the sun, found it {from_sun.max():.1f} degrees "
+            "off"
         )
     return Scan(
         row, _moment(records.name, row, date, clock), (place[0], place[1], place[2]), (zenith, 180.0 + azimuth),
@@ -296,7 +300,7 @@ def _known_filters(name: str, scans: list[Scan], beside: Calibration, notes: lis
     return known
 
 
-def _sweeps(name: str, scan: Scan, beside: Calibration, sunlight: dict[float, float]) -> list[Sweep]:
+def _sweeps(scan: Scan, beside: Calibration, sunlight: dict[float, float]) -> list[Sweep]:
     """A scan's filters, those of `sunlight` (W m^-2 nm^-1 at 1 au)."""
     zenith, azimuth = scan.sun
     kind = _kind(scan)
@@ -316,10 +320,10 @@ def _sweeps(name: str, scan: Scan, beside: Calibration, sunlight: dict[float, fl
 
 
 def _kind(scan: Scan) -> str:
-    if not np.nanmax(np.abs(scan.zenith - scan.sun[0]), initial=0.0) > _SAME_ANGLE:
+    if np.nan_to_num(np.abs(scan.zenith - scan.sun[0])).max(initial=0.0) <= _SAME_ANGLE:
         return ALMUCANTAR
-    across = np.abs(np.sin(np.radians(scan.azimuth))) * np.sin(np.radians(scan.zenith))
-    return PRINCIPAL_PLANE if np.nanmax(across, initial=0.0) < np.sin(np.radians(_SAME_ANGLE)) else "sky scan"
+    across = np.nan_to_num(np.abs(np.sin(np.radians(scan.azimuth))) * np.sin(np.radians(scan.zenith)))
+    return PRINCIPAL_PLANE if across.max(initial=0.0) < np.sin(np.radians(_SAME_ANGLE)) else "sky scan"
 
 
 def _say_what_lacks(scans: list[Scan], sweeps: list[Sweep], notes: list[str]) -> None:
