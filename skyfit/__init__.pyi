@@ -20,6 +20,7 @@ from .analytic import (
     Intermediate as Intermediate,
     overcast_luminance as overcast_luminance,
     Perez as Perez,
+    perez_of_sky as perez_of_sky,
     Preetham as Preetham,
     refit as refit,
     Sunlight as Sunlight,

@@ -120,3 +120,47 @@ def boustrophedon(values: np.ndarray) -> np.ndarray:
     """The same in the order of makes that turn back at the end of each band."""
     bands = np.split(values, np.cumsum((30, 30, 24, 24, 18, 12, 6)))
     return np.concatenate([band[::-1] if number % 2 else band for number, band in enumerate(bands)])
+
+
+CURRENTS = {400.0: 1.428e-4, 500.0: 2.915e-4, 675.0: 3.554e-4, 870.0: 2.465e-4, 1020.0: 2.076e-4}
+
+
+def ins_para(path: Path, outside=None, dates=("2024  6  1  0.0",), factors=(1.0,)) -> Path:
+    """The calibration of a sky radiometer: wavelengths in cm, solid angles, currents outside the air, A."""
+    outside = CURRENTS if outside is None else outside
+    rows = [
+        f"{date} " + " ".join(f"{f * v:.6E}" for v in outside.values()) for date, f in zip(dates, factors, strict=True)
+    ]
+    lines = ["- instrument -", '"PS1"  : S/N', "30 : type", f" {len(outside)} : NW", _wavelengths(outside)]
+    lines += [" ".join(["2.400E-04"] * len(outside)), f"{len(dates)} : NDAY", *rows]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def _wavelengths(nm) -> str:
+    return "\n".join("".join(f"{1e-7 * v:26.6E}" for v in part) for part in _threes(list(nm)))
+
+
+def _threes(values):
+    return [values[i : i + 3] for i in range(0, len(values), 3)]
+
+
+def dt5_scan(
+    wavelength, zenith, azimuth, ratio, current, sun, time, distance=1.0162, clock=135.0, place=(139.32, 35.75, 40.0)
+) -> str:
+    """A scan as SKYRAD.pack writes it: `ratio` `[direction, wavelength]`, `current` toward the sun, `sun` zenith angle
+    and azimuth from south, `time` on the clock of a longitude."""
+    moment = time.astype("datetime64[s]").astype(object)
+    hour = moment.hour + moment.minute / 60.0 + moment.second / 3600.0
+    lines = [f"{moment:%Y %m %d %H %M %S}{hour:9.4f} : IY IM ID IHH IMM ISS TM(hr)"]
+    lines += ["".join(f"{v:8.2f}" for v in (clock, *place)) + " : ALNGS ALNG ALAT ALT(m)"]
+    lines += [
+        f"{len(ratio) + 1:8d}{sun[0]:8.1f}{sun[1]:8.1f}{distance:8.4f} : NA TH0 FI0 DST",
+        f"{len(wavelength):4d} : NW/ WL",
+    ]
+    lines += [_wavelengths(wavelength), "   TH     FI    F (IF SCA=0)  or R=U/F/M/SOLID"]
+    views = [(sun[0], 0.0, current), *zip(zenith, azimuth, ratio, strict=True)]
+    for down, around, values in views:
+        for part in _threes(list(values)):
+            lines.append("".join(f"{down:7.1f}{around:7.1f}{v:12.4E}" for v in part))
+    return "\n".join(lines) + "\n"

@@ -404,7 +404,10 @@ def test_lobes_that_are_known_together_alone_are_shown_by_their_mean(capsys):
 
 def test_help_fits_a_narrow_window(skyfit_command, tmp_path):
     done = skyfit_command("--help", cwd=tmp_path)
-    assert all(command in done.stdout for command in ("simulate", "refit", "convert", "invert", "predict"))
+    assert all(
+        command in done.stdout
+        for command in ("simulate", "refit", "convert", "invert", "perez", "sensitivity", "predict")
+    )
     assert narrow(done.stdout)
 
 
@@ -412,7 +415,7 @@ HELPS = """
 import json, pathlib, sys
 from skyfit.cli import main
 loaded = {}
-for command in ("", "simulate", "render", "export", "convert", "invert", "refit", "predict"):
+for command in ("", "simulate", "render", "export", "convert", "invert", "perez", "sensitivity", "refit", "predict"):
     sys.argv[1:] = [*command.split(), "--help"]
     try:
         main()
@@ -430,8 +433,8 @@ def test_help_loads_no_more_than_it_says(python, tmp_path):
         roots = {name.split(".")[0] for name in modules}
         assert not roots & {"equinox", "jax", "jaxlib", "jaxtyping", "matplotlib", "numpy", "rich", "scipy"}, command
         own = {name for name in modules if name.split(".")[0] == "skyfit"}
-        assert all(name == "skyfit" or name.startswith("skyfit.cli") for name in own) and len(own) < 13, command
-    assert done.stdout.count("Example: skyfit ") == 7
+        assert all(name == "skyfit" or name.startswith("skyfit.cli") for name in own) and len(own) < 15, command
+    assert done.stdout.count("Example: skyfit ") == 9
     for words in ("OrdersOfScattering.normal", "polarised", "float64", *skyfit.transport.SOLVERS):
         assert words in done.stdout, words
 

@@ -130,7 +130,6 @@ def test_the_sun_itself_is_no_sky(tmp_path):
     ("change", "parts"),
     [
         (lambda rows: [*rows, row(0, site="Elsewhere")], ["`AERONET_Site`", "one site", "Nowhere, Elsewhere"]),
-        (lambda rows: [line.replace("Almucantar", "Hybrid") for line in rows], ["row 10", "'Hybrid'", "zenith angle"]),
         (lambda rows: [line.replace("Almucantar", "Cloud Mode") for line in rows], ["row 10", "'Cloud Mode'"]),
         (lambda rows: [*rows[:3], rows[3][:-40]], ["row 13", "expected 26 cells"]),
         (lambda rows: [rows[0].replace("06:30:00", "6h30")], ["row 10", "a time hh:mm:ss", "'6h30'"]),
@@ -188,6 +187,64 @@ def test_the_files_own_scattering_angles_confirm_its_views(tmp_path):
     assert said(
         read(angled(tmp_path / "scan.alm", off=3.0)), "scattering angles are 3.0 degrees from those of its views"
     )
+
+
+# degrees from the sun; of a hybrid scan both ways
+AWAY = (0.0, -60.0, -20.0, -4.0, 4.0, 20.0, 60.0, 100.0)
+
+
+def rotated(scattering, sun_deg):
+    """Zenith angle and azimuth from the sun of views of a hybrid scan, by turning a vector, degrees.
+
+    The sun's vector is turned about the axis that lies in its vertical plane, at right angles to it; from the zenith
+    angle of 75 degrees on views are looked for by their scattering angle.
+    """
+    sun, away = np.radians(sun_deg), np.radians(scattering)
+    vector = np.stack([np.cos(away) * np.sin(sun), np.sin(away), np.cos(away) * np.cos(sun)])
+    zenith, azimuth = np.degrees(np.arccos(vector[2])), np.degrees(np.arctan2(vector[1], vector[0]))
+    around = np.linspace(0.0, 180.0, 180001)
+    low = np.radians(75.0)
+    angles = np.degrees(np.arccos(np.cos(low) * np.cos(sun) + np.sin(low) * np.sin(sun) * np.cos(np.radians(around))))
+    on = np.interp(np.abs(scattering), angles, around) * np.sign(scattering)
+    return np.where(zenith <= 75.0, zenith, 75.0), np.where(zenith <= 75.0, azimuth, on)
+
+
+@pytest.mark.parametrize("how", ["azimuths", "scattering angles", "scattering angles by their name"])
+def test_a_hybrid_scan_leaves_the_sun_across_and_goes_around_below(tmp_path, how):
+    suns = [float(line.split(",")[6]) for line in scan()]
+    views = [rotated(np.array(AWAY), sun) for sun in suns]
+    labels = AWAY if "scattering" in how else [round(a, 3) for a in views[0][1]]
+    rows = [row(n, labels, f, "Hybrid", light=radiance(AWAY, f)) for n, f in enumerate(FILTERS)]
+    if "name" not in how:
+        rows = [",".join([line, *(f"{abs(a):.3f}" for a in AWAY)]) for line in rows]
+    lines = aeronet(tmp_path / "scan.hyb", rows, labels).read_text().splitlines()
+    if "name" in how:
+        lines[7] = lines[7].replace("Radiance_for_Azimuth_Angle", "Radiance_for_Scattering_Angle")
+    else:
+        lines[7] += ",Scattering_Angle_for_Nominal_Angle(Degrees)" + "," * (len(AWAY) - 1)
+        lines[8] += "," + ",".join(f"{a:.3f}" for a in labels)
+    (tmp_path / "scan.hyb").write_text("\n".join(lines) + "\n")
+    sky = read(tmp_path / "scan.hyb")
+    assert sky.instrument.endswith("hybrid scan") and said(
+        sky, f"hybrid scan taken as {how.removesuffix(' by their name')}"
+    )
+    zenith, azimuth = (np.degrees(v[0]) for v in sky.views)
+    around = np.remainder(azimuth - np.degrees(sky.sun_azimuth) + 180.0, 360.0) - 180.0
+    # by increasing wavelength the wheel goes back
+    for w, (down, turned) in enumerate(views[::-1]):
+        if how == "azimuths" and w < 3:
+            # azimuths are those of the first filter: later ones stand as far round, not as far from the sun
+            continue
+        np.testing.assert_allclose(zenith[:, w], down[1:], atol=2e-3)
+        np.testing.assert_allclose(around[:, w], turned[1:], atol=2e-3)
+
+
+def test_a_hybrid_scan_has_no_view_so_far_from_a_high_sun(tmp_path):
+    rows = [line.replace("Almucantar", "Hybrid") for line in scan()]
+    lines = aeronet(tmp_path / "scan.hyb", rows).read_text().replace("Radiance_for_Azimuth", "Radiance_for_Scattering")
+    (tmp_path / "scan.hyb").write_text(lines)
+    with pytest.raises(ValueError, match=r"^scan\.hyb: row 10: a hybrid scan has no view at some of these scattering"):
+        read(tmp_path / "scan.hyb")
 
 
 # the beam beside it

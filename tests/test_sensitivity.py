@@ -1,6 +1,7 @@
 """Sensitivities, Fisher information and the choice of directions, against differences, closed forms and brute force."""
 
 import itertools
+import json
 import logging
 from types import SimpleNamespace
 
@@ -10,11 +11,13 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from skies import HASTE, SMALL
+from typer.testing import CliRunner
 
 import skyfit
 from skyfit.atmosphere import Exponential, Ground, Ozone, Rayleigh
+from skyfit.cli import app
 from skyfit.draw import plot_sensitivity
-from skyfit.retrieve import Choice, PARAMETERS, SkyModel
+from skyfit.retrieve import Choice, PARAMETERS, SkyModel, values_of, with_values
 from skyfit.retrieve.model import Instrument
 
 
@@ -424,3 +427,64 @@ def test_a_picture_that_cannot_be_drawn_leaves_no_file(drawn, tmp_path, changes,
     with pytest.raises(ValueError, match=part):
         plot_sensitivity(**(given | {"path": tmp_path / given["path"]}))
     assert list(tmp_path.iterdir()) == []
+
+
+# the command
+
+
+def test_the_command_says_what_a_scan_determines_and_where_to_look_next(x64, haste, tmp_path):
+    azimuth = [3, 10, 30, 60, 90, 120, 150, 170]
+    rows = [f"40,{30 + a},{w:g},{10.0 / w:.4f},40,30" for a in azimuth for w in WAVELENGTH]
+    names = "view_zenith,view_azimuth,wavelength,radiance,sun_zenith,sun_azimuth"
+    (tmp_path / "scan.csv").write_text("\n".join([names, *rows]) + "\n")
+    call = ["sensitivity", str(tmp_path / "scan.csv"), "--out", str(tmp_path / "out.json"), "--solver", "single"]
+    call += ["--preset", "draft", "--geometry", "flat", "--turbidity", "2.5", "--relative", "0.01", "--next", "2"]
+    free = ("aerosol_optical_depth", "asymmetry", "ozone", "ground_albedo")
+    call += ["--free", ",".join(free), "--prior", "ozone=300,15", "--interest", "aerosol_optical_depth"]
+    done = CliRunner().invoke(app, call, env={"COLUMNS": "80"})
+    assert done.exception is None, done.exception
+    assert all(len(line) <= 80 for line in done.output.splitlines() if not line.startswith(("written: ", "next, ")))
+    record = json.loads((tmp_path / "out.json").read_text())
+    # by the radiance's differences, the prior of ozone among the rows
+    air, solver = skyfit.Atmosphere.from_turbidity(2.5), skyfit.SingleScattering.draft("flat")
+    scene = scene_of(skyfit.Directions.from_degrees(40.0, 30.0 + np.array(azimuth)))
+    model = SkyModel(air)
+    steps = {"aerosol_optical_depth": 1e-5, "asymmetry": 1e-5, "ozone": 1e-2}
+    at = values_of(model, free)
+
+    def light(name, step):
+        moved = with_values(model, (name,), [at[name] + step]).atmosphere
+        return np.asarray(solver.radiance(moved, scene), float)
+
+    columns = [(light(name, step) - light(name, -step)).ravel() / (2.0 * step) for name, step in steps.items()]
+    columns = np.stack(columns, axis=1) / (0.01 * light("ozone", 0.0).ravel()[:, None])
+    spread = np.linalg.inv(columns.T @ columns + np.diag([0.0, 0.0, 15.0**-2]))
+    for p, name in enumerate(steps):
+        one = record["parameters"][name]
+        assert one["sigma"] == pytest.approx(np.sqrt(spread[p, p]), rel=1e-4) and one["determined"]
+    assert record["parameters"]["ozone"]["prior_sigma"] == 15.0
+    expected = spread[0, 2] / np.sqrt(spread[0, 0] * spread[2, 2])
+    assert record["correlation"][0][2] == pytest.approx(expected, abs=1e-4)
+    # one order of scattering knows nothing of the ground
+    assert record["parameters"]["ground_albedo"]["sigma"] is None and "not determined" in done.output
+    after = [one["sigma"]["aerosol_optical_depth"] for one in record["next"]]
+    assert len(after) == 2 and after[1] < after[0] < record["parameters"]["aerosol_optical_depth"]["sigma"]
+    assert all(one["view_zenith"] <= 80.0 for one in record["next"])
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (("--prior", "fine_radius=0.1,0.1"), "`--prior` must name free parameters"),
+        (("--free", "fine_radius"), "names 'fine_radius', which this atmosphere does not have"),
+        (("--turbidity", "0.5"), "`--turbidity` must be between"),
+        (("--next", "0"), "`--next` must be between"),
+    ],
+)
+def test_a_call_that_asks_for_what_is_not_there_is_one_line(tmp_path, more, words):
+    names = "view_zenith,view_azimuth,wavelength,radiance,sun_zenith,sun_azimuth"
+    (tmp_path / "scan.csv").write_text(f"{names}\n40,60,500,0.1,40,30\n")
+    call = ["sensitivity", str(tmp_path / "scan.csv"), "--out", str(tmp_path / "out.json"), "--free", "ozone", *more]
+    failed = CliRunner().invoke(app, call)
+    assert isinstance(failed.exception, ValueError) and words in str(failed.exception), failed.exception
+    assert not (tmp_path / "out.json").exists()

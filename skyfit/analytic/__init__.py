@@ -8,6 +8,7 @@ from .cie import (
 from .extended import ExtendedPreetham as ExtendedPreetham
 from .perez import Perez as Perez, perez_distribution as perez_distribution
 from .perez_fits import fit_perez as fit_perez, PerezFits as PerezFits
+from .perez_of_sky import perez_of_sky as perez_of_sky, SkyPerez as SkyPerez
 from .preetham import Preetham as Preetham
 from .refit import (
     Comparison as Comparison,

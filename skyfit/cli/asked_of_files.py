@@ -11,6 +11,7 @@ Longitude = Annotated[float | None, typer.Option(help="degrees east, if the file
 UtcOffset = Annotated[float | None, typer.Option(help="hours of local time ahead of UTC (EDT: -4)")]
 Altitude = Annotated[float | None, typer.Option(help="of the station, metres")]
 ResponseOption = Annotated[str | None, typer.Option(help="samples are channels: xyz, srgb or a CSV of them")]
+MaskSun = Annotated[float | None, typer.Option(help="leave out samples within so many degrees of the sun")]
 Times = Annotated[
     str | None,
     typer.Option(help="first..last, both included, each a number from 1 or an ISO time (UTC); one may lack"),

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from .asked_of_files import Altitude, Latitude, Longitude, read_asked, ResponseOption, Times, UtcOffset
+from .asked_of_files import Altitude, Latitude, Longitude, MaskSun, read_asked, ResponseOption, Times, UtcOffset
 from .known import PARAMETER_NAMES, THRESHOLD
 from .options import (
     app,
@@ -31,6 +31,7 @@ FreeOption = Annotated[
         + ", ".join(PARAMETER_NAMES)
     ),
 ]
+PriorOption = Annotated[list[str] | None, typer.Option(help="name=value,sigma known before, or name=none")]
 # that a jackknife leaves out by turns
 _GROUPS = 10
 # degrees; `NoiseModel` ends at half a radian
@@ -43,7 +44,7 @@ def invert_command(
     out: OutFolder,
     free: FreeOption = None,
     fix: Annotated[list[str] | None, typer.Option(help="name=value of a parameter that is known")] = None,
-    prior: Annotated[list[str] | None, typer.Option(help="name=value,sigma known before, or name=none")] = None,
+    prior: PriorOption = None,
     shared: Annotated[str | None, typer.Option(help="names that all times share (default: the slow ones)")] = None,
     independent: Annotated[bool, typer.Option("--independent", help="each time by itself, nothing shared")] = False,
     smooth: Annotated[list[str] | None, typer.Option(help="name=sigma of its change per hour, repeatable")] = None,
@@ -61,7 +62,7 @@ def invert_command(
     products: Annotated[
         bool, typer.Option("--products", help="the haze at the fitted wavelengths too: aerosol.csv, aerosol.nc")
     ] = False,
-    mask_sun: Annotated[float | None, typer.Option(help="leave out samples within so many degrees of the sun")] = None,
+    mask_sun: MaskSun = None,
     atmosphere: AtmosphereOption = None,
     times: Times = None,
     response: ResponseOption = None,

@@ -8,12 +8,12 @@ from typing import Annotated
 
 import typer
 
-from . import convert, export, invert, refit, render, simulate
+from . import convert, export, invert, perez, refit, render, sensitivity, simulate
 from .options import app
 
 
 # importing a command registers it
-_COMMANDS = (simulate, render, refit, export, convert, invert)
+_COMMANDS = (simulate, render, refit, export, convert, invert, perez, sensitivity)
 # compiles in two thirds of the time to programs that run as fast. XLA ends the process over a flag that it does not
 # know, so this one is for the jaxlib that it was tried on
 _QUICK_TO_COMPILE, _TRIED_ON = "--xla_cpu_use_fusion_emitters=false", "0.10.2"

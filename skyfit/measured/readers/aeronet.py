@@ -1,4 +1,4 @@
-"""AERONET's raw sky scans as text (Version 3: almucantar, principal plane), with optical depths that lie beside."""
+"""AERONET's raw sky scans as text (Version 3: almucantar, principal plane, hybrid), with optical depths beside them."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ from ..units import radiance_factor
 from .aeronet_table import COLUMNS, moment_in, only, Table, table_of
 from .header import plain
 from .optical_depths import beside, joined
-from .scans import ALMUCANTAR, PRINCIPAL_PLANE, series_of, Sweep, view_of
+from .scans import ALMUCANTAR, azimuth_of_hybrid, HYBRID, PRINCIPAL_PLANE, series_of, Sweep, view_of
 from .screening import screened
 
 
@@ -20,7 +20,10 @@ _USUAL_UNITS = "uW/cm^2/sr/nm"
 _NEEDED = ("date", "time", "exact", "sun_zenith", "kind")
 # degrees
 _SAME_ANGLE = 0.5
-_KINDS = {"almucantar": ALMUCANTAR, "alm": ALMUCANTAR, "principal_plane": PRINCIPAL_PLANE, "ppl": PRINCIPAL_PLANE}
+_KINDS = {
+    "almucantar": ALMUCANTAR, "alm": ALMUCANTAR, "principal_plane": PRINCIPAL_PLANE, "ppl": PRINCIPAL_PLANE,
+    "hybrid": HYBRID, "hyb": HYBRID,
+}  # fmt: skip
 # "Radiance_for_Azimuth_Angle_in_Degrees(uW/cm^2/sr/nm)_-6.000", of files whose two lines of names were joined
 _JOINED = re.compile(r"(.*\S)_(-?\d+(?:\.\d*)?)")
 _NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?")
@@ -39,13 +42,14 @@ def read_scan(path: Path, station: dict[str, float]) -> Sky:
     **Returns** a `Sky` of the scans in time, each wavelength where it looked. An optical-depth file (`.lev15`,
     `.lev20`, `.lev10`) of the same site in the same folder is taken along, the best level first.
 
-    **Valid** scans in the almucantar and the principal plane; others, and a file of several sites or instruments, are a
-    `ValueError`.
+    **Valid** scans in the almucantar and the principal plane, and hybrid ones, whose angles are azimuths from the sun
+    or scattering angles, as their name and the file's own scattering angles tell; others, and a file of several sites
+    or instruments, are a `ValueError`.
     """
     table = table_of(path, "Solar_Zenith_Angle")
     places = {what: table.place(what) for what in COLUMNS}
     lacking = [COLUMNS[what][0] for what in _NEEDED if places[what] is None]
-    angles, units, unnamed = _radiances(table)
+    angles, units, unnamed, by_scattering = _radiances(table)
     stated, others = _other_groups(table)
     if lacking or not angles:
         found = ", ".join(filter(None, table.names))[:200]
@@ -73,7 +77,16 @@ def read_scan(path: Path, station: dict[str, float]) -> Sky:
     }
     columns, degrees = np.array(list(angles)), np.array(list(angles.values()))
     sweeps = [_sweep(table, row, cells, places, columns, degrees, factor) for row, cells in table.rows]
-    notes += _unlike(table, sweeps, degrees, stated)
+    worst = _misfit(table, sweeps, degrees, stated)
+    if any(sweep.kind == HYBRID for sweep in sweeps):
+        if by_scattering or worst > _SAME_ANGLE:
+            sweeps = [_sweep(table, row, cells, places, columns, degrees, factor, True) for row, cells in table.rows]
+            worst, by_scattering = _misfit(table, sweeps, degrees, stated), True
+        notes.append(f"angles of a hybrid scan taken as {'scattering angles' if by_scattering else 'azimuths'}")
+    if worst > _SAME_ANGLE:
+        notes.append(
+            f"the file's scattering angles are {worst:.1f} degrees from those of its views: another kind of scan?"
+        )
     sun = degrees == 0.0
     toward = sum(int(np.isfinite(sweep.radiance[sun]).sum()) for sweep in sweeps)
     if toward:
@@ -89,14 +102,13 @@ def read_scan(path: Path, station: dict[str, float]) -> Sky:
     return screened(series.contents)
 
 
-def _sweep(table, row, cells, places, columns, degrees, factor) -> Sweep:
+def _sweep(table, row, cells, places, columns, degrees, factor, by_scattering=False) -> Sweep:
     word = plain(cells[places["kind"]])
     kind = next((kind for key, kind in _KINDS.items() if word.startswith(key)), None)
     if kind is None:
-        what = "each view's zenith angle and azimuth are not in this file" if "hybrid" in word else "no scan known here"
         raise ValueError(
-            f"{table.name}: row {row}: expected a scan in the almucantar or the principal plane, found "
-            f"{cells[places['kind']][:40]!r}: {what}"
+            f"{table.name}: row {row}: expected a scan in the almucantar, the principal plane or a hybrid one, found "
+            f"{cells[places['kind']][:40]!r}"
         )
     wavelength = 1e3 * table.number(row, cells, places["exact"])
     if np.isnan(wavelength) and places["nominal"] is not None:
@@ -106,13 +118,20 @@ def _sweep(table, row, cells, places, columns, degrees, factor) -> Sweep:
         if np.isnan(value):
             raise ValueError(f"{table.name}: row {row}: expected a {what}, found none")
     radiance = factor * np.array([table.number(row, cells, place) for place in columns.tolist()])
+    if kind == HYBRID and by_scattering:
+        degrees = azimuth_of_hybrid(degrees, sun_zenith)
+        lost = np.isnan(degrees)
+        if np.isfinite(radiance[lost]).any():
+            raise ValueError(f"{table.name}: row {row}: a hybrid scan has no view at some of these scattering angles")
+        degrees = np.where(lost, 0.0, degrees)
     moment = moment_in(table, row, cells, places["date"], places["time"])
     return Sweep(moment, round(wavelength, 4), sun_zenith, *view_of(kind, degrees, sun_zenith), radiance, kind, row)
 
 
-def _radiances(table: Table) -> tuple[dict[int, float], str, int]:
-    """The angle of each column of radiance, their units, and how many of them have no angle."""
-    angles, units, group, unnamed = {}, _USUAL_UNITS, "", 0
+def _radiances(table: Table) -> tuple[dict[int, float], str, int, bool]:
+    """The angle of each column of radiance, their units, how many of them have no angle, and whether their name says
+    that the angles are from the sun."""
+    angles, units, group, unnamed, scattering = {}, _USUAL_UNITS, "", 0, False
     for place, (name, under) in enumerate(zip(table.names, table.below, strict=True)):
         label = under
         match = _JOINED.fullmatch(name)
@@ -125,13 +144,14 @@ def _radiances(table: Table) -> tuple[dict[int, float], str, int]:
             group = name
         if "radiance" not in plain(group):
             continue
+        scattering |= "scattering" in plain(group)
         told = _UNITS.search(group)
         units = told[1].replace("\\", "/") if told else units
         if _NUMBER.fullmatch(label):
             angles[place] = float(label)
         elif any(cells[place] for _, cells in table.rows):
             unnamed += 1
-    return angles, units, unnamed
+    return angles, units, unnamed, scattering
 
 
 def _other_groups(table: Table) -> tuple[dict[float, int], list[str]]:
@@ -145,15 +165,15 @@ def _other_groups(table: Table) -> tuple[dict[float, int], list[str]]:
         elif name:
             group, under = (name, under) if match is None else (match[1], match[2])
         word = plain(group)
-        if "scattering_angle" in word and _NUMBER.fullmatch(under):
+        if "scattering_angle" in word and "radiance" not in word and _NUMBER.fullmatch(under):
             stated[float(under)] = place
         elif name and "radiance" not in word and word not in known and "scattering_angle" not in word:
             others += [] if group in others else [group]
     return stated, others
 
 
-def _unlike(table: Table, sweeps: list[Sweep], degrees, stated: dict[float, int]) -> list[str]:
-    """A note where the scattering angles of a file are not those of the views that its scan is taken to be of."""
+def _misfit(table: Table, sweeps: list[Sweep], degrees, stated: dict[float, int]) -> float:
+    """How far the file's scattering angles are at most from those of the views that its scans are taken to be of."""
     worst = 0.0
     columns = [(i, stated[angle]) for i, angle in enumerate(degrees.tolist()) if angle in stated]
     for sweep, (row, cells) in zip(sweeps, table.rows, strict=True):
@@ -163,6 +183,4 @@ def _unlike(table: Table, sweeps: list[Sweep], degrees, stated: dict[float, int]
             cosine = cosine_from_sun(zenith, around, np.radians(sweep.sun_zenith), 0.0)
             if np.isfinite(told):
                 worst = max(worst, abs(float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))) - told))
-    if worst <= _SAME_ANGLE:
-        return []
-    return [f"the file's scattering angles are {worst:.1f} degrees from those of its views: another kind of scan?"]
+    return worst

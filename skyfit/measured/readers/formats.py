@@ -11,6 +11,7 @@ from .netcdf import read_netcdf
 from .normalised import normalised_name
 from .optical_depths import refuse_depths
 from .scanner import is_scanner, read_scanner
+from .skyrad import is_skyrad, read_skyrad
 from .tidy import read_tidy, REQUIRED
 
 
@@ -41,6 +42,8 @@ def known_format(path: Path) -> Callable[..., Sky] | Callable[..., NoReturn] | N
         return refuse_depths
     if names or (lines and lines[0].startswith("AERONET")):
         return _refuse_product
+    if is_skyrad(lines):
+        return read_skyrad
     return read_scanner if is_scanner([line for line in lines if _is_row(line)]) else None
 
 
@@ -57,5 +60,5 @@ def _is_row(line: str) -> bool:
 def _refuse_product(path: Path, station: dict[str, float]) -> NoReturn:
     raise ValueError(
         f"{path.name}: found a file of AERONET without radiances: expected a raw sky scan, in the almucantar (.alm) or "
-        "the principal plane (.ppl)"
+        "the principal plane (.ppl), or a hybrid one (.hyb)"
     )

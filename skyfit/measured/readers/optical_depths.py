@@ -40,8 +40,8 @@ class Depths:
 def refuse_depths(path: Path, station: dict[str, float]) -> NoReturn:
     """Optical depths alone make no sky: a `ValueError` that says where they belong."""
     raise ValueError(
-        f"{path.name}: found aerosol optical depths without a sky: expected a sky scan of AERONET (.alm, .ppl), which "
-        "takes this file along if it lies beside it"
+        f"{path.name}: found aerosol optical depths without a sky: expected a sky scan of AERONET (.alm, .ppl, .hyb), "
+        "which takes this file along if it lies beside it"
     )
 
 

@@ -33,8 +33,9 @@ def read(
     **Arguments**
 
     - `path`: a file of any name, known by what is in it, or a folder: NetCDF and tidy CSV as `write_sky` writes them;
-      AERONET's raw sky scans (`.alm`, `.ppl`), with the optical depths (`.lev15`, `.lev20`) that lie beside them; ARM
-      csphot almucantars in NetCDF; a sky scanner's table of 145 luminances; a folder of ASD text exports
+      AERONET's raw sky scans (`.alm`, `.ppl`, `.hyb`), with the optical depths (`.lev15`, `.lev20`) that lie beside
+      them; SKYNET's scans (`.DT5`) with `ins.para` beside them; ARM csphot almucantars in NetCDF; a sky scanner's table
+      of 145 luminances; a folder of ASD text exports
     - `latitude`, `longitude`: degrees, north and east positive; instead of the file's own
     - `utc_offset`: hours that local time is ahead of UTC (EDT is -4); for a folder or a sky scanner only, since
       the times of the others are UTC
@@ -80,8 +81,8 @@ def read(
         reader = known_format(path) or READERS.get(path.suffix.lower())
         if reader is None:
             raise ValueError(
-                f"{path.name}: expected NetCDF, a tidy CSV, a sky scan of AERONET, a sky scanner's table or a folder "
-                f"of ASD text exports, found none of these under the suffix {path.suffix!r}"
+                f"{path.name}: expected NetCDF, a tidy CSV, a sky scan of AERONET or SKYNET, a sky scanner's table or "
+                f"a folder of ASD text exports, found none of these under the suffix {path.suffix!r}"
             )
         if reader is read_scanner:
             return seen(read_scanner(path, station, utc_offset))

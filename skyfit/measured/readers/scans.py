@@ -9,7 +9,10 @@ from ..solar_position import solar_position
 from .screening import Contents
 
 
-ALMUCANTAR, PRINCIPAL_PLANE = "almucantar", "principal plane"
+ALMUCANTAR, PRINCIPAL_PLANE, HYBRID = "almucantar", "principal plane", "hybrid scan"
+# a hybrid scan leaves the sun at right angles to its vertical plane, down to this view zenith angle, degrees, along
+# which it goes on around the sky (Sinyuk et al. 2020, Atmos. Meas. Tech. 13, 3375)
+_LOWEST_OF_HYBRID = 75.0
 # filters of one scan follow each other within this; the next scan of a photometer begins a quarter of an hour later
 _LONGEST_GAP = np.timedelta64(300, "s")
 # where neither time nor place tells where the sun stands, its azimuth: views are counted from it
@@ -27,7 +30,9 @@ class Sweep:
 
     `moment` UTC; `wavelength` nm; `sun_zenith` degrees; `zenith`, `azimuth` `[direction]` degrees, of the view, azimuth
     from the sun, clockwise; `radiance` `[direction]` W m^-2 sr^-1 nm^-1, NaN where missing. Sweeps of one scan have the
-    same directions in the same order. `kind`: of the scan; `row`: where it stands in the file.
+    same directions in the same order. `kind`: of the scan; `row`: where it stands in the file. Where the file tells
+    them, else NaN: `sun_azimuth` degrees, clockwise from north; `beam`, the sun's irradiance on a plane normal to it,
+    W m^-2 nm^-1.
     """
 
     moment: np.datetime64
@@ -38,6 +43,8 @@ class Sweep:
     radiance: Float[np.ndarray, " direction"]
     kind: str = ALMUCANTAR
     row: int = 0
+    sun_azimuth: float = np.nan
+    beam: float = np.nan
 
 
 @dataclass
@@ -51,22 +58,49 @@ class Series:
 def view_of(kind: str, angle: Float[np.ndarray, " direction"], sun_zenith: float):
     """Zenith angle and azimuth from the sun, degrees, of views at an angle of a scan of some kind.
 
-    **Arguments:** `angle`, degrees: of an almucantar the azimuth from the sun, at the sun's height; in the principal
-    plane the angle from the sun, positive upward, on over the zenith.
+    **Arguments:** `angle`, degrees: of an almucantar the azimuth from the sun, at the sun's height; of a hybrid scan
+    the azimuth too; in the principal plane the angle from the sun, positive upward, on over the zenith.
     """
     if kind == ALMUCANTAR:
         return np.full(angle.shape, sun_zenith), angle
+    if kind == HYBRID:
+        # a great circle through the sun, at right angles to its vertical plane: tan(zenith) = tan(sun) / cos(azimuth)
+        sun, forward = np.radians(sun_zenith), np.maximum(np.cos(np.radians(angle)), 0.0)
+        circle = np.degrees(np.arctan2(np.sin(sun), np.cos(sun) * forward))
+        return np.minimum(circle, max(_LOWEST_OF_HYBRID, sun_zenith)), angle
     along = sun_zenith - angle
     return np.abs(along), np.where(along < 0.0, 180.0, 0.0)
 
 
-def series_of(name: str, sweeps: list[Sweep], station: dict[str, float], notes: list[str], instrument: str) -> Series:
+def azimuth_of_hybrid(scattering: Float[np.ndarray, " direction"], sun_zenith: float):
+    """Azimuth from the sun, degrees, where a hybrid scan is at a scattering angle, degrees, whose sign it has.
+
+    **Returns:** NaN at scattering angles that no view of the scan has.
+    """
+    sun, lowest = np.radians(sun_zenith), np.radians(max(_LOWEST_OF_HYBRID, sun_zenith))
+    away = np.radians(np.abs(scattering))
+    on_circle = np.cos(away) * np.cos(sun) >= np.cos(lowest)
+    circle = np.arctan2(np.sin(away), np.cos(away) * np.sin(sun))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        around = np.arccos((np.cos(away) - np.cos(lowest) * np.cos(sun)) / (np.sin(lowest) * np.sin(sun)))
+    return np.sign(scattering) * np.degrees(np.where(on_circle, circle, around))
+
+
+def series_of(
+    name: str,
+    sweeps: list[Sweep],
+    station: dict[str, float],
+    notes: list[str],
+    instrument: str,
+    calibration: float = _CALIBRATION,
+    beam_sigma: float = np.nan,
+) -> Series:
     """All sweeps of a file as scans in time, each seen where its filter looked.
 
     **Arguments:** `station`, numbers by the names of `Contents.station`; `notes` of the reader, to which these are
-    added.
+    added; `calibration`, relative sigma of each filter's scale, and `beam_sigma` of the sun's beam.
     **Returns:** contents with views `[time, direction, wavelength]` and a sun `[time, wavelength]`, at the file's
-    zenith angle and the azimuth of time and place; directions without any sample are left out and counted.
+    zenith angle and its azimuth, or that of time and place; directions without any sample are left out and counted.
     """
     scans = _scans(name, sweeps, notes)
     wavelength = np.unique([sweep.wavelength for sweep in sweeps])
@@ -80,13 +114,14 @@ def series_of(name: str, sweeps: list[Sweep], station: dict[str, float], notes: 
     if not shape[1]:
         raise ValueError(f"{name}: expected samples of the sky, found none in {len(sweeps)} rows")
     radiance, zenith, around = (np.full(shape, np.nan) for _ in range(3))
-    sun_zenith, sun_azimuth = (np.full(shape[::2], np.nan) for _ in range(2))
+    sun_zenith, sun_azimuth, beam = (np.full(shape[::2], np.nan) for _ in range(3))
     moment = np.full(shape[::2], np.datetime64("NaT"), "datetime64[ns]")
     for t, (scan, places) in enumerate(zip(scans, kept, strict=True)):
         count = places.size
         for sweep in scan:
             w = int(np.searchsorted(wavelength, sweep.wavelength))
             sun_zenith[t, w], sun_azimuth[t, w], moment[t, w] = sweep.sun_zenith, azimuth[id(sweep)], sweep.moment
+            beam[t, w] = sweep.beam
             radiance[t, :count, w] = sweep.radiance[places]
             zenith[t, :count, w] = sweep.zenith[places]
             around[t, :count, w] = sweep.azimuth[places] + azimuth[id(sweep)]
@@ -98,19 +133,25 @@ def series_of(name: str, sweeps: list[Sweep], station: dict[str, float], notes: 
                 values[t, w] = values[t, near]
             zenith[t, :, w], around[t, :, w] = zenith[t, :, near], around[t, :, near]
     width = "" if "fwhm_nm" in station else f"filters of {FILTER_FWHM_NM:g} nm full width, "
-    notes.append(f"assumed, as the file does not say: {width}noise {_NOISE:.0%}, calibration {_CALIBRATION:.0%}")
+    seen = bool(np.isfinite(beam).any())
+    of_beam = f", the sun's beam {beam_sigma:.0%}" if seen else ""
+    notes.append(
+        f"assumed, as the file does not say: {width}noise {_NOISE:.0%}, calibration {calibration:.0%}{of_beam}"
+    )
     return Series(
         Contents(
             name=name,
             radiance=radiance,
             sigma=_NOISE * radiance,
-            calibration_sigma=_CALIBRATION,
+            calibration_sigma=calibration,
             view_zenith=zenith,
             view_azimuth=around % 360.0,
             wavelength=wavelength,
             time=_middle(moment),
             sun_zenith=sun_zenith,
             sun_azimuth=sun_azimuth % 360.0,
+            direct=beam if seen else None,
+            direct_sigma=beam_sigma * beam if seen else None,
             station={"fwhm_nm": FILTER_FWHM_NM} | station,
             notes=notes,
             # the sun at the zenith is no sun in radians
@@ -150,7 +191,9 @@ def _kept(scan: list[Sweep]) -> np.ndarray:
 
 
 def _sun_azimuth(sweeps: list[Sweep], station: dict[str, float], notes: list[str]) -> dict[int, float]:
-    """Of each sweep, degrees, by time and place; from the sun itself where there is no place."""
+    """Of each sweep, degrees, as told, or by time and place; from the sun itself where there is no place."""
+    if all(np.isfinite(sweep.sun_azimuth) for sweep in sweeps):
+        return {id(sweep): sweep.sun_azimuth for sweep in sweeps}
     if not {"latitude", "longitude"} <= station.keys():
         notes.append("no latitude and longitude: azimuths are counted from the sun, taken in the south")
         return {id(sweep): _NO_AZIMUTH for sweep in sweeps}
