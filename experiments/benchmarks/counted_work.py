@@ -1,71 +1,31 @@
-"""The multiply-adds and exponentials that `OrdersOfScattering` needs for a sky, and the least time they take."""
+"""The least time that a sky takes by its counted work, and how much more it takes, measured.
 
-from typing import NamedTuple
+    python -m experiments.benchmarks.counted_work [--repeats 15]
 
-from skyfit import Atmosphere, OrdersOfScattering
-from skyfit.transport.optics import scatterer_indices
+Measures each solver that `skyfit.choose` chooses from, in float32, 343 directions and 41 wavelengths, in turns; the
+fastest turn counts, so that other work on the machine matters little. Writes experiments/results/counted_work.json:
+`skyfit.transport.work` takes its ratios from there.
+"""
 
+import argparse
+import json
 
-# FACTS of the machine (2 cores at 2.5 GHz, float32): exponentials and flops a second
-EXPONENTIALS = 0.56e9
-BATCHED_FLOPS = (12e9, 21e9)
-LARGE_FLOPS = 45e9
-# multiply-adds of a column along a curved ray: two polynomials, of degrees 10 and 6
-COLUMN_TERMS = 17
+import jax
+import numpy as np
 
-
-class Work(NamedTuple):
-    """Multiply-adds and exponentials of one part, and whether its multiplications are one large product."""
-
-    multiply_adds: float
-    exponentials: float
-    large: bool
-
-    def seconds(self) -> tuple[float, float]:
-        """At the fast and at the slow rate."""
-        rates = (LARGE_FLOPS, LARGE_FLOPS) if self.large else BATCHED_FLOPS[::-1]
-        fast, slow = (2.0 * self.multiply_adds / rate + self.exponentials / EXPONENTIALS for rate in rates)
-        return fast, slow
+import skyfit
+from experiments.benchmarks.tiers import HERE, interleaved, made_with
+from skyfit import Atmosphere, Scene
+from skyfit.transport.choose import RUNGS
+from skyfit.transport.work import BATCHED_FLOPS, counted, EXPONENTIALS, LARGE_FLOPS
 
 
-def counted(solver: OrdersOfScattering, atmosphere: Atmosphere, directions: int, wavelengths: int) -> dict[str, Work]:
-    """Work of one sky, by part.
-
-    D directions, W wavelengths, V of them solved, C constituents of which S scatter, Q nodes, N streams a
-    hemisphere, L layers, I sweeps, P pairs (l, m) with l >= m.
-
-    single scattering: exponents $\\tau = $ column $\\cdot$ extinction, C D Q W; their exponentials, D Q W; the sum over
-    nodes, S D Q W; phase functions times it, S D W; densities and two columns, 3 C D Q exponentials, with 17
-    multiply-adds a column on curved paths (exponential profiles; ozone's takes 16 points).
-    sweeps: moments to streams and back, 2 P N L V a sweep; in each of two directions 2 N L M V for the recurrence and
-    6 N L M V for the emitted and the mean light; turning on curved paths, 2 L N N M V; diffusion, L L V a sweep and
-    once the inverse that is dense as it is coded, L^3 V; attenuation and source functions, 4 N L V exponentials.
-    view integral: moments into views, P D L V; attenuation and source functions, 2 D L V exponentials and 4
-    multiply-adds; to all wavelengths, V W D, with D W exponentials and D V logarithms.
-    """
-    d, w, n, layers, q = directions, wavelengths, solver.streams, solver.levels, solver.nodes
-    few = solver.spectral_nodes
-    v = w if few is None or not 0 < few < w else few + (few + 1) // 2
-    count, modes = solver._resolution().for_phases(atmosphere.constituents)
-    pairs = sum(max(count - m, 0) for m in range(modes))
-    c, s = len(atmosphere.constituents), len(scatterer_indices(atmosphere.constituents))
-    curved = solver.geometry == "spherical"
-    column = COLUMN_TERMS if curved else 1
-    sweep = 2 * pairs * n * layers * v + 2 * (2 + 6) * n * layers * modes * v + layers * layers * v
-    if curved:
-        sweep += 2 * layers * n * n * modes * v
-    return {
-        "single scattering": Work(d * q * w * (c + s) + s * d * w + 2 * c * d * q * column,
-                                  d * q * w + 3 * d * q * c, True),
-        "sweeps": Work(solver.orders * sweep + layers**3 * v, 4 * n * layers * v + 2 * layers * v, False),
-        "view integral": Work(pairs * d * layers * v + 4 * d * layers * v + d * w * v * (v < w),
-                              2 * d * layers * v + (d * w + d * v) * (v < w), True),
-    }  # fmt: skip
+RESULT = HERE / "results" / "counted_work.json"
 
 
-def floor(solver: OrdersOfScattering, atmosphere: Atmosphere, directions: int, wavelengths: int) -> dict:
+def floor(solver, atmosphere: Atmosphere, scene: Scene) -> dict:
     """The counted work as a record: by part, and the least seconds altogether."""
-    parts = counted(solver, atmosphere, directions, wavelengths)
+    parts = counted(solver, atmosphere, scene)
     record = {
         name: {
             "multiply_adds": part.multiply_adds,
@@ -85,3 +45,40 @@ def floor(solver: OrdersOfScattering, atmosphere: Atmosphere, directions: int, w
             "flops_large": LARGE_FLOPS,
         },
     }
+
+
+def solvers() -> dict:
+    """Those whose work is counted, by what they are called."""
+    orders = skyfit.OrdersOfScattering
+    return {
+        "single": skyfit.SingleScattering.normal(),
+        "double": skyfit.DoubleScattering.normal(),
+        **{f"orders {name}": orders(*numbers) for name, numbers in RUNGS.items()},
+        "orders 8 streams flat": orders(*RUNGS["8 streams"], None, "flat"),
+        "orders 8 streams polarised": orders(*RUNGS["8 streams"], None, "spherical", True),
+        "orders 8 streams, every wavelength": orders(*RUNGS["8 streams"], 0),
+        "orders fine polarised": orders.fine(polarised=True),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--repeats", type=int, default=15)
+    options = parser.parse_args()
+    air = Atmosphere.from_turbidity(3.0)
+    scene = Scene.from_degrees(60.0, skyfit.hemisphere(343), np.arange(380.0, 781.0, 10.0))
+    known = solvers()
+    runs = {}
+    for name, solver in known.items():
+        # with wavelengths that are known, of which few are solved
+        runs[name] = lambda solver=solver: jax.block_until_ready(solver.radiance(air, scene))
+    rows = interleaved(runs, options.repeats, slow=0.2)
+    for name, solver in known.items():
+        least = floor(solver, air, scene)["seconds"]
+        rows[name] |= {"counted": least, "measured_over_counted": rows[name]["fastest"] / least}
+        print(f"{name}: {1e3 * rows[name]['fastest']:.2f} ms, {rows[name]['measured_over_counted']:.2f} x counted")
+    RESULT.write_text(json.dumps({"made with": made_with(0), "rows": rows}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
