@@ -83,8 +83,7 @@ def choose(atmosphere: Atmosphere, scene: Scene, tolerance: float, *, of: Of = "
     suns to 80 degrees; what lower suns add is counted. The model of errors (data/error_model.csv) knows observers on
     the ground, suns to 88 degrees, 340 to 1000 nm, haze to an optical depth of 1.5 by its moments; `Spherical` beyond.
     """
-    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((atmosphere, scene, tolerance))):
-        raise ValueError("`choose` must be called with numbers, outside of jit, vmap and grad: got traced values")
+    check_numbers("choose", (atmosphere, scene, tolerance))
     if of not in ("maximum", "median"):
         raise ValueError(f'`of` must be "maximum" or "median", got {of!r}')
     if not 0.0 < tolerance <= 1.0:
@@ -114,6 +113,12 @@ def choose(atmosphere: Atmosphere, scene: Scene, tolerance: float, *, of: Of = "
     return Choice(
         chosen.solver, kept, expected, seconds(chosen.solver, kept, scene), tuple(reasons), bool(met), not known
     )
+
+
+def check_numbers(name: str, given) -> None:
+    """A `ValueError` for traced values in what a function of the host was given."""
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given)):
+        raise ValueError(f"`{name}` must be called with numbers, outside of jit, vmap and grad: got traced values")
 
 
 class _Errors:
@@ -189,6 +194,11 @@ def _candidates(atmosphere: Atmosphere, scene: Scene, sun: float) -> list[_Candi
         for solver, effects in found
         if sun <= solver.suns.largest_deg
     ]
+
+
+def candidates_of(atmosphere: Atmosphere, scene: Scene) -> list[AbstractSolver]:
+    """The solvers that `choose` chooses from for a scene."""
+    return [c.solver for c in _candidates(atmosphere, scene, float(np.degrees(scene.sun_zenith)))]
 
 
 def _of_solver(
