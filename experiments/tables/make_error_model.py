@@ -29,7 +29,7 @@ import skyfit
 from skyfit.transport import AbstractSolver
 from skyfit.transport.choose import RUNGS
 from skyfit.transport.deciding import Deciding, deciding
-from skyfit.transport.error_model import FEATURES, features, TABLE
+from skyfit.transport.error_model import FEATURES, shared_features, TABLE, with_left_out, with_streams
 
 
 DATA = Path(__file__).resolve().parents[2] / "data"
@@ -227,31 +227,30 @@ def numbers_of(drawn: Scenes, spectrum: bool = False) -> Deciding:
     given = (
         drawn._replace(wavelength=np.broadcast_to(SPECTRUM, (len(drawn.values), SPECTRUM.size))) if spectrum else drawn
     )
-    return jax.jit(jax.vmap(lambda *row: deciding(*sky(*row))))(*(jnp.asarray(part) for part in given))
+    found = jax.jit(jax.vmap(lambda *row: deciding(*sky(*row))))(*(jnp.asarray(part) for part in given))
+    return Deciding(*(np.asarray(part, np.float64) for part in found))
 
 
-def samples(effect: Effect, drawn: Scenes, found: dict[str, np.ndarray]):
-    """Features `[scene, direction, wavelength]` by name, and errors."""
-    spectrum = PROGRAMS[effect.program].spectrum
+def samples(effect: Effect, numbers: Deciding, names: tuple[str, ...], found: dict[str, np.ndarray]):
+    """Features `[scene, direction, wavelength]` by name, and errors; `names`, of the constituents."""
     error = np.abs(found[effect.program] / found[effect.reference] - 1.0)
-    here = Scenes(*(part[: len(error)] for part in drawn))
-    gone = PROGRAMS[effect.program].without
-    numbers = numbers_of(here, spectrum)
-    if gone is None:
-        return features(numbers, effect.streams), error
-    names = sky(*(part[0] for part in here))[0].names
+    shared = shared_features(numbers)
+    if PROGRAMS[effect.program].without is None:
+        return with_streams(shared, numbers, effect.streams), error
     parts = []
     for name, program in (("ozone", "no ozone"), ("aerosol", "no haze")):
         off = np.abs(found[program] / found[effect.reference] - 1.0)
         some = off.max(axis=(1, 2)) < COUNTS
-        of = features(numbers, effect.streams, names.index(name))
+        of = with_left_out(shared, numbers, names.index(name))
         parts.append(({key: value[some] for key, value in of.items()}, off[some]))
     (first, low), (second, high) = parts
     return {key: np.concatenate([first[key], second[key]]) for key in first}, np.concatenate([low, high])
 
 
-def fitted(effect: Effect, of: dict[str, np.ndarray], error: np.ndarray) -> list[np.ndarray]:
-    """The powers of each mechanism, the first of them that of the constant, e."""
+def fitted(
+    effect: Effect, of: dict[str, np.ndarray], error: np.ndarray, near: list[np.ndarray] | None = None
+) -> list[np.ndarray]:
+    """The powers of each mechanism, the first of them that of the constant, e; sought `near` others."""
     keys = [["constant", *powers] for powers in effect.mechanisms.values()]
     bounds = [b for powers in effect.mechanisms.values() for b in ((None, None), *powers.values())]
     inputs = [jnp.asarray(np.stack([of[key] for key in row], axis=-1)) for row in keys]
@@ -274,11 +273,15 @@ def fitted(effect: Effect, of: dict[str, np.ndarray], error: np.ndarray) -> list
 
     value = jax.jit(jax.value_and_grad(loss))
     base = float(jnp.median(largest))
-    start = np.concatenate([[base - 2.0 - 3.0 * i, *(0.5 if low == 0.0 else 0.0 for low, _ in m.values())]
-                            for i, m in enumerate(effect.mechanisms.values())])  # fmt: skip
+    if near is None:
+        starts = [[base - 2.0 - 3.0 * i, *(0.5 if low == 0.0 else 0.0 for low, _ in mechanism.values())]
+                  for i, mechanism in enumerate(effect.mechanisms.values())]  # fmt: skip
+    else:
+        starts = near
+    start = np.concatenate(starts)
     found = minimize(
         lambda p: tuple(np.asarray(v, float) for v in value(jnp.asarray(p))), start, jac=True, method="L-BFGS-B",
-        bounds=bounds, options={"maxiter": 250},
+        bounds=bounds, options={"maxiter": 160 if near is None else 40},
     )  # fmt: skip
     return np.split(found.x, ends[:-1])
 
@@ -292,10 +295,10 @@ def model_of(effect: Effect, of: dict[str, np.ndarray], powers: list[np.ndarray]
 def columns_of(name: str, effect: Effect, of: dict[str, np.ndarray], error: np.ndarray) -> dict[str, np.ndarray]:
     """The table's columns of an effect: powers of `FEATURES`, and factors that make maximum and median safe."""
     fold = np.random.default_rng(0).permutation(len(error)) % 2
-    ratios = []
+    best, ratios = fitted(effect, of, error), []
     for part in range(2):
         seen, unseen = fold != part, fold == part
-        powers = fitted(effect, {key: value[seen] for key, value in of.items()}, error[seen])
+        powers = fitted(effect, {key: value[seen] for key, value in of.items()}, error[seen], best)
         model = model_of(effect, {key: value[unseen] for key, value in of.items()}, powers)
         ratios.append([reduced(error[unseen], (1, 2)) / reduced(model, (1, 2)) for reduced in (np.max, np.median)])
     maximum, median = np.concatenate(ratios, axis=1)
@@ -304,7 +307,7 @@ def columns_of(name: str, effect: Effect, of: dict[str, np.ndarray], error: np.n
           f"over the model's {np.median(maximum):.2f} (log sd {np.log(maximum).std():.2f}); safe x {factors[0]:.2f}, "
           f"median x {factors[1]:.2f}", flush=True)  # fmt: skip
     columns = {}
-    for (mechanism, allowed), part in zip(effect.mechanisms.items(), fitted(effect, of, error), strict=True):
+    for (mechanism, allowed), part in zip(effect.mechanisms.items(), best, strict=True):
         power = dict(zip(["constant", *allowed], part, strict=True))
         columns[f"{name}:{mechanism}"] = np.array([*(power.get(key, 0.0) for key in FEATURES), *factors])
     return columns
@@ -335,10 +338,14 @@ def main() -> None:
     if options.measure_only:
         return
     drawn = scenes(options.scenes, options.seed)
+    numbers = numbers_of(drawn)
+    of_spectra = numbers_of(Scenes(*(part[:FEW] for part in drawn)), spectrum=True)
+    names = sky(*(part[0] for part in drawn))[0].names
     columns = {}
     for name, effect in EFFECTS.items():
-        columns |= columns_of(name, effect, *samples(effect, drawn, found))
-    of = features(numbers_of(drawn), 8)
+        here = of_spectra if PROGRAMS[effect.program].spectrum else numbers
+        columns |= columns_of(name, effect, *samples(effect, here, names, found))
+    of = with_streams(shared_features(numbers), numbers, 8)
     columns["range:most"] = np.array([*(float(of[key].max()) for key in FEATURES), 1.0, 1.0])
     write(columns, options.scenes, options.seed, DATA / TABLE)
 

@@ -1,5 +1,7 @@
 """The cheapest solver, resolution, geometry, polarisation and set of constituents that keep to an error."""
 
+import functools
+import itertools
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
@@ -14,7 +16,7 @@ from ..scene import Directions, Scene
 from .contract import AbstractSolver, Geometry
 from .deciding import Deciding, deciding
 from .double import DoubleScattering
-from .error_model import beyond, features, jax_free, predicted
+from .error_model import beyond, predicted, shared_features, with_left_out, with_streams
 from .optics import scatterer_indices
 from .orders.solver import OrdersOfScattering
 from .orders.spectrum import spectral_nodes
@@ -37,13 +39,15 @@ RUNGS = {
 _FLAT_RUNGS = ("6 streams", "8 streams", "12 streams")
 # `OrdersOfScattering.fine`, spherical, by 200 levels in place of 100: largest error and median in 16 scenes
 _FINE = (1.4e-3, 1e-4)
+# degrees, the lowest sun of the model of errors
+_LOWEST_SUN = 88.0
 # degrees; largest error and median of `Spherical.normal` by Monte Carlo: experiments/results/space.json
 _SPHERICAL = ((89.0, 0.012, 7e-4), (96.0, 0.019, 1e-3), (108.0, 0.043, 4.1e-3))
 # degrees; of `OrdersOfScattering.normal`, spherical, beyond three sigma of Monte Carlo, and the median:
 # experiments/results/accuracy.json. Its layers all see the sun at one angle
 _ONE_SUN = ((80.0, 0.004, 0.0027), (85.0, 0.025, 0.0033), (89.0, 0.098, 0.0043))
 # directions times wavelengths that are looked at; directions at least
-_POINTS, _FEWEST = 16384, 32
+_POINTS, _FEWEST = 4096, 32
 
 
 class Choice(NamedTuple):
@@ -125,8 +129,9 @@ class _Errors:
     """The errors of one scene by effect, each worked out when it is first asked for."""
 
     def __init__(self, atmosphere: Atmosphere, scene: Scene, views: int, sun: float, of: Of):
-        numbers = jax_free(deciding(atmosphere, scene))
-        self._numbers = Deciding(*(each[..., :views, :] for each in numbers))
+        numbers = deciding(atmosphere, scene)
+        self._numbers = Deciding(*(np.asarray(each, np.float64)[..., :views, :] for each in numbers))
+        self._features = shared_features(self._numbers)
         self._sun, self._median = sun, of == "median"
         self._reduced: Callable = np.median if self._median else np.max
         self._known: dict[str | int, np.ndarray] = {}
@@ -139,7 +144,7 @@ class _Errors:
 
     def _found(self, effect: str | int) -> np.ndarray:
         if isinstance(effect, int):
-            return predicted("left out", features(self._numbers, 8, effect), self._median)
+            return predicted("left out", with_left_out(self._features, self._numbers, effect), self._median)
         here = np.zeros_like(self._numbers.depth)
         if effect == "fine":
             return here + _FINE[self._median]
@@ -148,7 +153,8 @@ class _Errors:
                 suns, *errors = (np.array(column) for column in zip(*table, strict=True))
                 return here + np.exp(np.interp(self._sun, suns, np.log(errors[self._median])))
         first = effect.split()[0]
-        return predicted(effect, features(self._numbers, int(first) if first.isdigit() else 8), self._median)
+        of = with_streams(self._features, self._numbers, int(first)) if first.isdigit() else self._features
+        return predicted(effect, of, self._median)
 
     def of_one(self, effect: str | int) -> float:
         return float(self._reduced(self[effect]))
@@ -159,41 +165,47 @@ class _Errors:
 
     def unknown(self, scene: Scene) -> list[str]:
         """What of the scene the model of errors was not fitted to."""
-        found = beyond(features(self._numbers, 8))
+        found = beyond(with_streams(self._features, self._numbers, 8))
         wavelength = np.asarray(scene.wavelength_nm)
         if wavelength.min() < 0.99 * 340.0 or wavelength.max() > 1.01 * 1000.0:
             found.append(f"{wavelength.min():g} to {wavelength.max():g} nm, where they know 340 to 1000")
-        if self._sun > 88.0:
-            found.append(f"a sun at {self._sun:.4g} degrees, whose polarisation is taken for that at 88")
+        if self._sun > _LOWEST_SUN:
+            found.append(f"a sun at {self._sun:.4g} degrees, where they know {_LOWEST_SUN:g}")
         if scene.height is not None:
             found.append("an observer aloft")
         return found
 
 
+@functools.cache
+def _known() -> tuple[tuple[AbstractSolver, tuple[str, ...], bool], ...]:
+    """The solvers of the ground, what each is off by, and whether it solves few wavelengths of long spectra."""
+    found: list[tuple[AbstractSolver, tuple[str, ...], bool]] = []
+    geometries: tuple[tuple[Geometry, tuple[str, ...]], ...] = (("flat", ("flat Earth",)), ("spherical", ()))
+    for geometry, bent in geometries:
+        found.append((SingleScattering.normal(geometry), ("one order", *bent), False))
+        found.append((DoubleScattering.normal(geometry), ("two orders", *bent), True))
+        for name in RUNGS if geometry == "spherical" else _FLAT_RUNGS:
+            # what the last of the flat ones is off by is in that of the flat Earth
+            own = () if bent and name == _FLAT_RUNGS[-1] else (f"{name} flat" if bent else name,)
+            for polarised, nodes in itertools.product((False, True), (None, 0)):
+                solver = OrdersOfScattering(*RUNGS[name], nodes, geometry, polarised)
+                found.append((solver, (*own, *bent, *() if polarised else ("no polarisation",)), nodes is None))
+    return (*found, (OrdersOfScattering.fine(polarised=True), ("fine",), False))
+
+
 def _candidates(atmosphere: Atmosphere, scene: Scene, sun: float) -> list[_Candidate]:
     """All that know the sun and the observer."""
     found: list[tuple[AbstractSolver, tuple[str, ...]]] = [(Spherical.normal(), ("Spherical", "no polarisation"))]
-    if scene.height is None and sun <= 88.0:
+    if scene.height is None and sun <= _LOWEST_SUN:
+        long = spectral_nodes(atmosphere, scene, None) is not None
         low = ("one sun",) if sun > _ONE_SUN[0][0] else ()
-        geometries: tuple[tuple[Geometry, tuple[str, ...]], ...] = (("flat", ("flat Earth",)), ("spherical", ()))
-        for geometry, bent in geometries:
-            found.append((SingleScattering.normal(geometry), ("one order", *bent)))
-            found.append((DoubleScattering.normal(geometry), ("two orders", *bent, *low)))
-            for name in RUNGS if geometry == "spherical" else _FLAT_RUNGS:
-                own = () if geometry == "flat" and name == _FLAT_RUNGS[-1] else (name + " flat" * bool(bent),)
-                for polarised in (False, True):
-                    for nodes in (None, 0):
-                        solver = OrdersOfScattering(*RUNGS[name], nodes, geometry, polarised)
-                        few = spectral_nodes(atmosphere, scene, nodes) is not None
-                        if nodes is None or spectral_nodes(atmosphere, scene, None) is not None:
-                            scalar = () if polarised else ("no polarisation",)
-                            found.append((solver, (*own, *bent, *scalar, *low, *("few wavelengths",) * few)))
-        found.append((OrdersOfScattering.fine(polarised=True), ("fine", *low)))
-    return [
-        _Candidate(solver, effects, seconds(solver, atmosphere, scene))
-        for solver, effects in found
-        if sun <= solver.suns.largest_deg
-    ]
+        for solver, effects, few in _known():
+            every = isinstance(solver, OrdersOfScattering) and not few
+            # of a short spectrum every wavelength is solved in any case
+            if sun <= solver.suns.largest_deg and (long or not every or "fine" in effects):
+                more = () if "one order" in effects else low
+                found.append((solver, (*effects, *more, *("few wavelengths",) * (few and long))))
+    return [_Candidate(solver, effects, seconds(solver, atmosphere, scene)) for solver, effects in found]
 
 
 def candidates_of(atmosphere: Atmosphere, scene: Scene) -> list[AbstractSolver]:
@@ -271,4 +283,4 @@ def _looked_at(scene: Scene) -> tuple[Scene, int] | None:
 
 
 def _percent(error: float) -> str:
-    return f"{100.0 * min(error, 1.0):.2g} %"
+    return f"{float(f'{100.0 * min(error, 1.0):.2g}'):g} %"

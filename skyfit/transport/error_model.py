@@ -17,42 +17,37 @@ RANGED = ("view airmass", "sun airmass", "depth", "depth of haze", "forward peak
 _LOW_SUN, _FAR, _SOME_HAZE, _LITTLE, _DARK = 3.0, 2.0, 1e-3, 1e-6, 0.1
 
 
-def features(numbers: Deciding, streams: int, constituent: int | None = None) -> dict[str, np.ndarray]:
-    """The logarithms of `FEATURES`, `[direction, wavelength]` (or with leading axes, as `numbers` has them).
+def shared_features(numbers: Deciding) -> dict[str, np.ndarray]:
+    """The logarithms of those of `FEATURES` that neither streams nor what is left out decides; the others are 0.
 
-    **Arguments:** `streams`, of which `forward peak` is what they miss: the next of `STREAMS`; `constituent`, place of
-    one that is left out.
+    **Returns:** `[direction, wavelength]` each, with leading axes where `numbers` has them.
     """
-    log, d = np.log, jax_free(numbers)
-    place = min((i for i, n in enumerate(STREAMS) if n >= streams), default=len(STREAMS) - 1)
-    gone = np.zeros_like(d.depth) if constituent is None else d.without[..., constituent, :, :]
+    log, d = np.log, numbers
+    hazy = d.depth * d.haze
+    zero = np.zeros_like(d.depth)
     rows = (
-        np.zeros_like(d.depth) + 1.0,
-        log(d.view_airmass),
-        log(d.sun_airmass),
-        log(np.maximum(d.sun_airmass / _LOW_SUN, 1.0)),
-        log(d.depth),
-        log(d.depth * d.haze + _SOME_HAZE),
-        log(d.depth * d.view_airmass),
-        log(d.depth * d.haze * d.view_airmass + _SOME_HAZE),
-        log(d.forward[..., place, :, :] + _LITTLE),
-        log(np.maximum(d.nearness * _FAR, 1.0)),
-        log(d.albedo + _DARK),
-        log(d.bent + 10.0 * _LITTLE),
-        log(gone + _LITTLE),
-    )
+        zero + 1.0, log(d.view_airmass), log(d.sun_airmass), log(np.maximum(d.sun_airmass / _LOW_SUN, 1.0)),
+        log(d.depth), log(hazy + _SOME_HAZE), log(d.depth * d.view_airmass), log(hazy * d.view_airmass + _SOME_HAZE),
+        zero, log(np.maximum(d.nearness * _FAR, 1.0)), log(d.albedo + _DARK), log(d.bent + 10.0 * _LITTLE), zero,
+    )  # fmt: skip
     return dict(zip(FEATURES, rows, strict=True))
 
 
-def jax_free(numbers: Deciding) -> Deciding:
-    """The numbers as numpy has them, in float64."""
-    return Deciding(*(np.asarray(value, np.float64) for value in numbers))
+def with_streams(shared: dict[str, np.ndarray], numbers: Deciding, streams: int) -> dict[str, np.ndarray]:
+    """The features of an effect of streams: `forward peak` is what the next of `STREAMS` miss."""
+    place = min((i for i, n in enumerate(STREAMS) if n >= streams), default=len(STREAMS) - 1)
+    return shared | {"forward peak": np.log(numbers.forward[..., place, :, :] + _LITTLE)}
+
+
+def with_left_out(shared: dict[str, np.ndarray], numbers: Deciding, constituent: int) -> dict[str, np.ndarray]:
+    """The features of leaving out the constituent of a place."""
+    return shared | {"left out": np.log(numbers.without[..., constituent, :, :] + _LITTLE)}
 
 
 def predicted(effect: str, of: dict[str, np.ndarray], median: bool = False) -> np.ndarray:
     """The relative error by one effect: a sum over mechanisms, each a product of powers of `FEATURES`.
 
-    **Arguments:** `effect`, as the columns of data/error_model.csv have it before their colon; `of`, by `features`;
+    **Arguments:** `effect`, as the columns of data/error_model.csv have it before their colon; `of`, features;
     `median`: such that the median of a scene's errors is safe, else their maximum.
     **Returns:** `[direction, wavelength]`, as `of`.
     """
