@@ -189,7 +189,7 @@ def _known() -> tuple[tuple[AbstractSolver, tuple[str, ...], bool], ...]:
             own = () if bent and name == _FLAT_RUNGS[-1] else (f"{name} flat" if bent else name,)
             for polarised, nodes in itertools.product((False, True), (None, 0)):
                 solver = OrdersOfScattering(*RUNGS[name], nodes, geometry, polarised)
-                found.append((solver, (*own, *bent, *() if polarised else ("no polarisation",)), nodes is None))
+                found.append((solver, (*own, *bent, *("no polarisation",) * (not polarised)), nodes is None))
     return (*found, (OrdersOfScattering.fine(polarised=True), ("fine",), False))
 
 
