@@ -16,7 +16,7 @@ import numpy as np
 import skyfit
 from experiments.benchmarks.tiers import HERE, interleaved, made_with
 from skyfit import Atmosphere, Scene
-from skyfit.transport.choose import RUNGS
+from skyfit.transport.choose import RUNGS, streams_of
 from skyfit.transport.work import BATCHED_FLOPS, counted, EXPONENTIALS, LARGE_FLOPS
 
 
@@ -49,15 +49,14 @@ def floor(solver, atmosphere: Atmosphere, scene: Scene) -> dict:
 
 def solvers() -> dict:
     """Those whose work is counted, by what they are called."""
-    orders = skyfit.OrdersOfScattering
     return {
         "single": skyfit.SingleScattering.normal(),
         "double": skyfit.DoubleScattering.normal(),
-        **{f"orders {name}": orders(*numbers) for name, numbers in RUNGS.items()},
-        "orders 8 streams flat": orders(*RUNGS["8 streams"], None, "flat"),
-        "orders 8 streams polarised": orders(*RUNGS["8 streams"], None, "spherical", True),
-        "orders 8 streams, every wavelength": orders(*RUNGS["8 streams"], 0),
-        "orders fine polarised": orders.fine(polarised=True),
+        **{f"orders {name}": streams_of(name, "spherical", False) for name in RUNGS},
+        "orders 8 streams flat": streams_of("8 streams", "flat", False),
+        "orders 8 streams polarised": streams_of("8 streams", "spherical", True),
+        "orders 8 streams, every wavelength": streams_of("8 streams", "spherical", False, 0),
+        "orders fine polarised": skyfit.OrdersOfScattering.fine(polarised=True),
     }
 
 

@@ -27,7 +27,7 @@ from scipy.stats import qmc
 
 import skyfit
 from skyfit.transport import AbstractSolver
-from skyfit.transport.choose import RUNGS
+from skyfit.transport.choose import RUNGS, streams_of
 from skyfit.transport.deciding import Deciding, deciding
 from skyfit.transport.error_model import FEATURES, shared_features, TABLE, with_left_out, with_streams
 
@@ -65,7 +65,7 @@ class Program(NamedTuple):
 
 
 def _orders(streams: str, geometry, polarised=True, spectral_nodes: int | None = 0):
-    return skyfit.OrdersOfScattering(*RUNGS[f"{streams} streams"], spectral_nodes, geometry, polarised)
+    return streams_of(f"{streams} streams", geometry, polarised, spectral_nodes)
 
 
 PROGRAMS = {

@@ -50,6 +50,12 @@ _ONE_SUN = ((80.0, 0.004, 0.0027), (85.0, 0.025, 0.0033), (89.0, 0.098, 0.0043))
 _POINTS, _FEWEST = 4096, 32
 
 
+def streams_of(name: str, geometry: Geometry, polarised: bool, spectral_nodes: int | None = None) -> OrdersOfScattering:
+    """`OrdersOfScattering` by a name of `RUNGS`."""
+    streams, modes, levels, orders, nodes = RUNGS[name]
+    return OrdersOfScattering(streams, modes, levels, orders, nodes, spectral_nodes, geometry, polarised)
+
+
 class Choice(NamedTuple):
     """A solver and an atmosphere, and what is to be expected of them.
 
@@ -188,7 +194,7 @@ def _known() -> tuple[tuple[AbstractSolver, tuple[str, ...], bool], ...]:
             # what the last of the flat ones is off by is in that of the flat Earth
             own = () if bent and name == _FLAT_RUNGS[-1] else (f"{name} flat" if bent else name,)
             for polarised, nodes in itertools.product((False, True), (None, 0)):
-                solver = OrdersOfScattering(*RUNGS[name], nodes, geometry, polarised)
+                solver = streams_of(name, geometry, polarised, nodes)
                 found.append((solver, (*own, *bent, *("no polarisation",) * (not polarised)), nodes is None))
     return (*found, (OrdersOfScattering.fine(polarised=True), ("fine",), False))
 

@@ -30,15 +30,15 @@ class Deciding(NamedTuple):
     changes light that is scattered once, relative; `without`, the same of leaving out each constituent.
     """
 
-    depth: Float[Array, "direction wavelength"]
-    view_airmass: Float[Array, "direction wavelength"]
-    sun_airmass: Float[Array, "direction wavelength"]
-    albedo: Float[Array, "direction wavelength"]
-    haze: Float[Array, "direction wavelength"]
-    forward: Float[Array, "stream direction wavelength"]
-    nearness: Float[Array, "direction wavelength"]
-    bent: Float[Array, "direction wavelength"]
-    without: Float[Array, "constituent direction wavelength"]
+    depth: Float[Array | np.ndarray, "direction wavelength"]
+    view_airmass: Float[Array | np.ndarray, "direction wavelength"]
+    sun_airmass: Float[Array | np.ndarray, "direction wavelength"]
+    albedo: Float[Array | np.ndarray, "direction wavelength"]
+    haze: Float[Array | np.ndarray, "direction wavelength"]
+    forward: Float[Array | np.ndarray, "stream direction wavelength"]
+    nearness: Float[Array | np.ndarray, "direction wavelength"]
+    bent: Float[Array | np.ndarray, "direction wavelength"]
+    without: Float[Array | np.ndarray, "constituent direction wavelength"]
 
 
 class _Once(NamedTuple):

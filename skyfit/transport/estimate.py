@@ -1,5 +1,6 @@
 """How far a solver is off for one scene, by a refined solve of a few directions and wavelengths."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -7,7 +8,7 @@ import numpy as np
 
 from ..atmosphere import Atmosphere
 from ..scene import above_horizon, angle_between, Directions, Scene
-from .choose import check_numbers, RUNGS
+from .choose import check_numbers, RUNGS, streams_of
 from .contract import AbstractSolver
 from .orders.solver import OrdersOfScattering
 from .spherical import Spherical
@@ -84,8 +85,8 @@ def refinement(solver: AbstractSolver, scene: Scene) -> AbstractSolver:
     if isinstance(solver, OrdersOfScattering) and solver.streams >= RUNGS["16 streams"][0]:
         finest = OrdersOfScattering.fine(polarised=True)
         done = solver.levels >= finest.levels
-        return OrdersOfScattering(20, 40, 150, 14, 64, 0, polarised=True) if done else finest
-    return OrdersOfScattering(*RUNGS["16 streams"], 0, polarised=True)
+        return replace(finest, streams=20, modes=40, levels=150, orders=14) if done else finest
+    return streams_of("16 streams", "spherical", True, 0)
 
 
 def picked(atmosphere: Atmosphere, scene: Scene, directions: int, wavelengths: int) -> tuple[np.ndarray, np.ndarray]:
