@@ -153,11 +153,13 @@ def answered(program: Program, drawn: Scenes, chunks: int, place) -> np.ndarray:
     return np.concatenate(found)
 
 
-def measured(folder: Path, count: int, seed: int) -> dict[str, np.ndarray]:
-    """The answers of all `PROGRAMS`."""
+def measured(folder: Path, count: int, seed: int, spectra: bool = True) -> dict[str, np.ndarray]:
+    """The answers of all `PROGRAMS`, or of those that answer no spectra."""
     folder.mkdir(parents=True, exist_ok=True)
     drawn, found = scenes(count, seed), {}
     for name, program in PROGRAMS.items():
+        if program.spectrum and not spectra:
+            continue
         start = time.perf_counter()
         chunks = -(-(min(count, FEW) if program.spectrum else count) // CHUNK)
         stem = name.replace(" ", "_")

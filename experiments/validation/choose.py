@@ -136,7 +136,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=99)
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    found = measured(options.work, options.scenes, options.seed)
+    found = measured(options.work, options.scenes, options.seed, spectra=False)
     drawn = scenes(options.scenes, options.seed)
     skies = [sky(*(jnp.asarray(part[i]) for part in drawn)) for i in range(options.scenes)]
     record = {

@@ -17,10 +17,9 @@ from .spherical import Spherical
 
 # a second, of two cores at 2.5 GHz in float32: exponentials, flops in small batches and in large products
 EXPONENTIALS, BATCHED_FLOPS, LARGE_FLOPS = 0.56e9, (12e9, 21e9), 45e9
-# measured over counted seconds and what every call costs, s: medians of experiments/results/speed_vs_error.csv,
-# float32, 12 skies of 343 directions and 41 wavelengths; `Spherical`: experiments/results/spherical.json
-_OVER, _CALL = {"single": 1.0, "double": 1.0, "orders": 1.0}, 3e-4
-_POLARISED = 1.25
+# measured over counted seconds, polarised over scalar: of `fine` and of `SingleScattering.normal` in float32, medians of
+# experiments/results/speed_vs_error.csv (343 directions, 41 wavelengths); what every call costs, s
+_OVER, _POLARISED, _CALL = {"single": 0.9, "double": 1.16, "orders": 1.8}, 1.31, 3e-4
 # one observer: 0.54 s with the sun at 60 degrees, 0.98 s at 90, of 41 wavelengths; experiments/results/spherical.json
 _SPHERICAL_WAVELENGTH = 0.024
 
@@ -99,8 +98,9 @@ def _streams(resolution: Resolution, atmosphere: Atmosphere, directions: int, wa
 def seconds(solver: AbstractSolver, atmosphere: Atmosphere, scene: Scene) -> float:
     """How long a sky may take, compiled, on two cores at 2.5 GHz in float32: counted work by measured ratios.
 
-    Ratios between solvers are what it is for; another machine and float64 scale all of them. `Spherical`, whose work is
-    not counted, by a measured time for each wavelength.
+    Ratios between solvers are what it is for: another machine and float64 scale all of them, and of a few wavelengths
+    a core makes less than of 41, where the ratios were measured: 16 directions and 4 wavelengths took some four times
+    as long. `Spherical`, whose work is not counted, by a measured time for each wavelength.
     **Errors:** `ValueError` for another solver.
     """
     if isinstance(solver, Spherical):
