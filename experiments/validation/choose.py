@@ -8,7 +8,8 @@ its geometry, times the ratios by which polarisation and each constituent change
 `OrdersOfScattering.fine("spherical", polarised=True)`; scenes that are given to `fine` itself or to `Spherical` are
 counted, not judged. Writes experiments/results/choose.json: by tolerance the share of scenes whose largest error is
 within it, how often no solver was found, the time of the choice over that of the cheapest solver that would have done
-(both by `skyfit.transport.work`), and what `estimate_error` makes of each program.
+(both by `skyfit.transport.work`), and what `estimate_error` makes of each program. The first scenes go into
+data/choose_scenes.npz with their radiance.
 """
 
 import argparse
@@ -30,6 +31,8 @@ from skyfit.transport.work import seconds
 
 
 RESULT = HERE / "results" / "choose.json"
+# scenes that are shipped with their radiance, for tests
+SHIPPED, SHIPPED_SCENES = HERE.parent / "data" / "choose_scenes.npz", 16
 TOLERANCES = (0.1, 0.03, 0.01, 0.003)
 LEFT_OUT = {"ozone": "no ozone", "aerosol": "no haze"}
 # programs that are estimated, and the program of the refined solver
@@ -138,6 +141,8 @@ def main() -> None:
     jax.config.update("jax_enable_x64", True)
     found = measured(options.work, options.scenes, options.seed, spectra=False)
     drawn = scenes(options.scenes, options.seed)
+    shipped = {name: part[:SHIPPED_SCENES] for name, part in drawn._asdict().items()}
+    np.savez_compressed(SHIPPED, **shipped, radiance=found["truth"][:SHIPPED_SCENES])
     skies = [sky(*(jnp.asarray(part[i]) for part in drawn)) for i in range(options.scenes)]
     record = {
         "made with": made_with(options.seed),
