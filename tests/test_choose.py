@@ -89,8 +89,6 @@ def test_traced_values_and_wrong_arguments_are_refused():
     for tolerance in (0.0, -1.0, 1.5, float("nan")):
         with pytest.raises(ValueError, match="`tolerance` must be above 0"):
             choose(AIR, scene(), tolerance)
-    with pytest.raises(ValueError, match='`of` must be "maximum" or "median"'):
-        choose(AIR, scene(), 0.1, of="mean")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="sun_zenith"):
         choose(AIR, scene(120.0), 0.1)
     with pytest.raises(ValueError, match="`directions` must be at least 4"):
