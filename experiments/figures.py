@@ -451,8 +451,7 @@ def by_tolerance(record: dict) -> str:
     lines += [
         "",
         "Largest errors of a scene, against `OrdersOfScattering.fine(polarised=True)`; the others are given to `fine`",
-        "itself, or no solver was found. The best is the cheapest that would have done, in hindsight, of which a choice",
-        "that is safe knows nothing. The bound",
+        "itself, or no solver was found. The best is the cheapest that would have done, in hindsight. The bound",
         f"of `estimate_error` holds in {100 * every['covered']:.1f} % of ten programs' answers, at "
         f"{every['median ratio']:.1f} times the true error in the median.",
     ]
