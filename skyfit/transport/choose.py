@@ -52,8 +52,8 @@ _POINTS, _FEWEST = 4096, 32
 
 def streams_of(name: str, geometry: Geometry, polarised: bool, spectral_nodes: int | None = None) -> OrdersOfScattering:
     """`OrdersOfScattering` by a name of `RUNGS`."""
-    streams, modes, levels, orders, nodes = RUNGS[name]
-    return OrdersOfScattering(streams, modes, levels, orders, nodes, spectral_nodes, geometry, polarised)
+    settings = dict(zip(("streams", "modes", "levels", "orders", "nodes"), RUNGS[name], strict=True))
+    return OrdersOfScattering(**settings, spectral_nodes=spectral_nodes, geometry=geometry, polarised=polarised)
 
 
 class Choice(NamedTuple):
