@@ -94,8 +94,12 @@ from .scene import (
 from .transport import (
     AerialPerspective as AerialPerspective,
     Bruneton as Bruneton,
+    Choice as Choice,
+    choose as choose,
     constant_ambient as constant_ambient,
     DoubleScattering as DoubleScattering,
+    Estimate as Estimate,
+    estimate_error as estimate_error,
     Irradiances as Irradiances,
     LowSunWarning as LowSunWarning,
     OrdersOfScattering as OrdersOfScattering,

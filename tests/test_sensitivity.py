@@ -17,7 +17,7 @@ import skyfit
 from skyfit.atmosphere import Exponential, Ground, Ozone, Rayleigh
 from skyfit.cli import app
 from skyfit.draw import plot_sensitivity
-from skyfit.retrieve import Choice, PARAMETERS, SkyModel, values_of, with_values
+from skyfit.retrieve import NextDirections, PARAMETERS, SkyModel, values_of, with_values
 from skyfit.retrieve.model import Instrument
 
 
@@ -307,7 +307,7 @@ def loss(information, interest, best):
 def test_each_step_is_the_best_there_is_and_pairs_are_near_the_best_pair(candidates, interest):
     best = np.diag(np.linalg.inv(candidates.sum(axis=0) + np.diag(1.0 / PRIOR**2)))
     choice = skyfit.next_directions(candidates, FREE, 5, interest, prior=PRIOR)
-    assert isinstance(choice, Choice) and choice.order.shape == (5,) and choice.sigma.shape == (5, 5)
+    assert isinstance(choice, NextDirections) and choice.order.shape == (5,) and choice.sigma.shape == (5, 5)
     total = np.zeros((5, 5))
     for i, (chosen, sigma) in enumerate(zip(choice.order, choice.sigma, strict=True)):
         left = [d for d in range(24) if d not in choice.order[:i]]

@@ -213,7 +213,7 @@ def floors(rows: dict) -> dict:
     clear = atmosphere_of(list(PARAMETERS.values()), ozone=False)
     record = {}
     for geometry in ("flat", "spherical"):
-        least = floor(make("orders", "normal", geometry), clear, 343, len(WAVELENGTH_NM))
+        least = floor(make("orders", "normal", geometry), clear, scene_of(SUN_ZENITH))
         measured = rows[f"orders normal {geometry}"]["seconds"]
         record[geometry] = least | {"measured_seconds": measured, "measured_over_floor": measured / least["seconds"]}
     return record

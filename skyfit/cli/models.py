@@ -1,5 +1,6 @@
 """Solvers, atmospheres and spectra from the words of options."""
 
+import math
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -35,6 +36,8 @@ kept_radiance = kept(_radiance, lambda *_: 0)
 
 def make_solver(name: str, preset: PresetName, geometry: GeometryName, polarised: bool = False) -> AbstractSolver:
     """The solver of some words; only `orders` may be polarised."""
+    if name == "auto":
+        raise ValueError("`--solver auto` must come with `--tolerance`, to which it is chosen")
     if name not in SOLVERS:
         raise ValueError(f"`--solver` must be one of {', '.join(SOLVERS)}, got {name!r}")
     if name == "uniform" and geometry is not GeometryName.flat:
@@ -114,6 +117,18 @@ def in_words(solver: AbstractSolver) -> str:
 def settings_of(solver: AbstractSolver) -> dict:
     """The name and all settings of a solver, as a file holds them."""
     return {"name": type(solver).__name__} | {field.name: getattr(solver, field.name) for field in fields(solver)}
+
+
+def tolerance_of(text: str) -> float:
+    """A relative error from "1%" or "0.01"."""
+    number, percent, rest = text.partition("%")
+    try:
+        value = float(number) / (100.0 if percent else 1.0)
+    except ValueError:
+        value = math.nan
+    if rest or not 0.0 < value <= 1.0:
+        raise ValueError(f"`--tolerance` must be a share of the radiance such as 1% or 0.01, at most 1, got {text!r}")
+    return value
 
 
 def precision() -> str:

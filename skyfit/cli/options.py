@@ -63,6 +63,10 @@ OutFolder = Annotated[Path, typer.Option("--out", help="folder for the results")
 PolarisedOption = Annotated[
     bool | None, typer.Option("--polarised/--scalar", help="(default: polarised for spectra by the solver orders)")
 ]
+ToleranceOption = Annotated[
+    str | None,
+    typer.Option(metavar="1%", help="largest error, instead of a solver: the cheapest that keeps to it is chosen"),
+]
 LineShape = Annotated[float | None, typer.Option(help="Gaussian line shape of the instrument, nm")]
 
 

@@ -29,12 +29,13 @@ from .options import (
     SolverOption,
     SunAzimuth,
     SunZenith,
+    ToleranceOption,
 )
 
 
 # what only a simulation heeds
 _OF_SIMULATIONS = (
-    *OF_ATMOSPHERES, "atmosphere", "fwhm", "solver", "preset", "geometry", "polarised",
+    *OF_ATMOSPHERES, "atmosphere", "fwhm", "solver", "preset", "geometry", "polarised", "tolerance",
 )  # fmt: skip
 
 
@@ -69,6 +70,7 @@ def simulate(
     preset: PresetOption = PresetName.normal,
     geometry: GeometryOption = GeometryName.spherical,
     polarised: PolarisedOption = None,
+    tolerance: ToleranceOption = None,
 ):
     """Simulate the spectral radiance of a clear sky.
 
@@ -86,7 +88,7 @@ def simulate(
     from ..measured.writing import skyfit_version
     from ..programs import keep_in
     from ..scene import Directions, hemisphere, Scene
-    from ..transport import check_scene, low_sun, LowSunWarning
+    from ..transport import check_scene, choose, low_sun, LowSunWarning, Spherical
     from .models import (
         in_words,
         kept_radiance,
@@ -94,6 +96,7 @@ def simulate(
         make_solver,
         precision,
         settings_of,
+        tolerance_of,
         turbidity_of,
         wavelengths_of,
     )
@@ -103,7 +106,13 @@ def simulate(
     given = None if atmosphere is None else _given_atmosphere(context, atmosphere)
     haze = 1.0 if given else turbidity_of(turbidity, aerosol_optical_depth, meteorological_range, haze_height)
     analytic, lowest = (None, 90.0) if coefficients is None else _analytic_sky(context, coefficients)
-    chosen = make_solver(solver, preset, geometry, solver == "orders" if polarised is None else polarised)
+    allowed = None if tolerance is None else tolerance_of(tolerance)
+    if allowed is None:
+        chosen = make_solver(solver, preset, geometry, solver == "orders" if polarised is None else polarised)
+    else:
+        held = ("preset", "geometry", "polarised", *("solver",) * (solver != "auto"))
+        refuse(context, held, "`--tolerance`, which chooses the solver")
+        chosen = Spherical.normal()
     lowest = chosen.suns.largest_deg if analytic is None else lowest
     zenith, azimuth, about = sun_of(sun_zenith, sun_azimuth, time, at, pressure, lowest)
     if out.suffix not in (".nc", ".csv") or not out.absolute().parent.is_dir():
@@ -118,8 +127,11 @@ def simulate(
     # the sun of an analytic sky is in its coefficients
     day = None if time is None or analytic is not None else day_of_year(about["time"][0])
     scene = Scene.from_degrees(zenith, view, spectrum, azimuth, day, fwhm_nm=fwhm, irradiance=irradiance)
+    choice = None if allowed is None else choose(air, scene, allowed)
     with progress("simulating"):
         if analytic is None:
+            if choice is not None:
+                chosen, air = choice.solver, choice.atmosphere
             keep_in(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
             # said once, in the command's own words
             with warnings.catch_warnings():
@@ -138,6 +150,13 @@ def simulate(
             made_by = {"coefficients": coefficients, "turbidity": haze}
             if not analytic.valid(haze, scene.sun_zenith):
                 notices.print("these coefficients extrapolate here", highlight=False)
+    if choice is not None:
+        made_by |= {
+            "choice": {
+                "tolerance": allowed, "expected_error": choice.expected_error, "met": choice.met,
+                "reasons": list(choice.reasons),
+            }
+        }  # fmt: skip
     about |= {"made_by": {"skyfit_version": skyfit_version(), "model": model, "precision": precision()} | made_by}
     low, high, _ = STATION_RANGES["pressure_pa"]
     if analytic is None and given is None:
@@ -152,6 +171,10 @@ def simulate(
     write_sky(sky, out)
     console.print(f"{out}: {radiance.shape[0]} directions, {radiance.shape[1]} wavelengths", highlight=False)
     console.print(f"model: {model}, {precision()}", highlight=False)
+    for reason in () if choice is None else choice.reasons:
+        console.print(f"  {reason}", highlight=False, markup=False, soft_wrap=True)
+    if choice is not None:
+        console.print(f"error to expect: {100.0 * choice.expected_error:.2g} % at most", highlight=False)
 
 
 def _given_atmosphere(context: typer.Context, path: Path):

@@ -5,9 +5,9 @@ from .aerosol_optics import (
 )
 from .batch import Fits as Fits
 from .design import (
-    Choice as Choice,
     fisher_information as fisher_information,
     next_directions as next_directions,
+    NextDirections as NextDirections,
     posterior_covariance as posterior_covariance,
     sensitivity as sensitivity,
 )

@@ -102,7 +102,7 @@ def posterior_covariance(
     return _inverse(as_float(information), as_float(_precision(prior, np.shape(information)[-1])))
 
 
-class Choice(NamedTuple):
+class NextDirections(NamedTuple):
     """Directions in the order in which to measure them, and what is known after each.
 
     `order`, indices of directions, `[choice]`; `sigma` of every free parameter after each, in its unit, inf where
@@ -120,7 +120,7 @@ def next_directions(
     interest: str | Sequence[str] | None = None,
     measured: Int[ArrayLike, " choice"] | Sequence[int] = (),
     prior: Prior = None,
-) -> Choice:
+) -> NextDirections:
     r"""The directions to measure next: one by one, each the one that lessens the uncertainty most.
 
     With `interest` the sum of the variances of those names, each over what all directions together would leave it
@@ -129,7 +129,7 @@ def next_directions(
     **Arguments:** `information`, of all directions that may be chosen (`fisher_information`); `free`, the names of
     its axes; `count`, how many to choose; `measured`, indices of those that are measured already; `prior` as in
     `posterior_covariance`.
-    **Returns:** a `Choice`; no direction is chosen twice.
+    **Returns:** a `NextDirections`; no direction is chosen twice.
     **Valid:** greedy, so each step is the best but the set need not be; what neither prior nor measurements know counts
     as known to 1000 times the sigma that all directions would leave it alone, in the choice and not in `sigma`.
     Runs on the host, in float64.
@@ -173,7 +173,7 @@ def next_directions(
         left[chosen], current, total = False, trial[chosen], total + whole[chosen]
         order.append(chosen)
         sigma.append(np.sqrt(np.diagonal(_inverse(as_float(total), as_float(precision)))))
-    return Choice(np.array(order), np.array(sigma, float))
+    return NextDirections(np.array(order), np.array(sigma, float))
 
 
 def _model(atmosphere: Atmosphere | SkyModel) -> SkyModel:

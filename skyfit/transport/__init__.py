@@ -4,6 +4,7 @@ from .air import (
     scattered_light as scattered_light,
 )
 from .bruneton import Bruneton as Bruneton, BrunetonField as BrunetonField
+from .choose import Choice as Choice, choose as choose
 from .contract import (
     AbstractSolver as AbstractSolver,
     check_scene as check_scene,
@@ -18,6 +19,7 @@ from .contract import (
     ThickAirWarning as ThickAirWarning,
 )
 from .double import DoubleScattering as DoubleScattering
+from .estimate import Estimate as Estimate, estimate_error as estimate_error
 from .orders import OrdersOfScattering as OrdersOfScattering
 from .registry import SOLVERS as SOLVERS
 from .shells import Shells as Shells

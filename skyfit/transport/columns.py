@@ -21,6 +21,8 @@ TOP_OF_AIR = 100e3
 # a flat atmosphere has no horizon: cosines below this are taken as this
 MIN_COSINE = 1e-4
 _COLUMN_NODES = 16
+# multiply-adds of a column along a curved ray: two polynomials, of degrees 10 and 6
+COLUMN_TERMS = 17
 # points a layer in which density changes exponentially
 _LAYER_NODES = 3
 
