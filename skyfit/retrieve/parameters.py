@@ -195,6 +195,9 @@ _LIST = (
         "pointing_azimuth", "degree", -20.0, 20.0, "instrument.pointing_azimuth", to_leaf=_radians,
         from_leaf=_degrees, usual=_BOTH,
     ),
+    Parameter(
+        "sun_zenith_offset", "degree", -12.0, 12.0, "instrument.sun_zenith", to_leaf=_radians, from_leaf=_degrees,
+    ),
 )  # fmt: skip
 PARAMETERS: dict[str, Parameter] = {p.name: p for p in _LIST}
 # what a sky scan determines, and the pointing that it needs: with haze of two lobes, and of spheres in two modes
