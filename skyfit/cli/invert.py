@@ -6,6 +6,21 @@ from typing import Annotated
 import typer
 
 from .asked_of_files import Altitude, Latitude, Longitude, read_asked, ResponseOption, Times, UtcOffset
+from .asked_of_pictures import (
+    AcrossOption,
+    AzimuthOption,
+    check_kind,
+    EncodingOption,
+    LensOption,
+    LevelOption,
+    MaskOption,
+    MirrorOption,
+    MomentOption,
+    panorama_asked,
+    ProjectionOption,
+    told_of_place,
+    write_pictures,
+)
 from .known import PARAMETER_NAMES, THRESHOLD
 from .options import (
     app,
@@ -16,10 +31,12 @@ from .options import (
     LineShape,
     LossName,
     OutFolder,
+    Place,
     PolarisedOption,
     PresetName,
     PresetOption,
     SolverOption,
+    SunAngle,
 )
 
 
@@ -38,7 +55,9 @@ _WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 
 @app.command("invert")
 def invert_command(
-    sky: Annotated[Path, typer.Argument(help="of an instrument, NetCDF, CSV or a folder of ASD text exports")],
+    sky: Annotated[
+        Path, typer.Argument(help="of an instrument, NetCDF, CSV, a folder of ASD text exports, or a picture")
+    ],
     out: OutFolder,
     free: FreeOption = None,
     fix: Annotated[list[str] | None, typer.Option(help="name=value of a parameter that is known")] = None,
@@ -72,8 +91,20 @@ def invert_command(
     preset: PresetOption = PresetName.normal,
     geometry: GeometryOption = GeometryName.spherical,
     polarised: PolarisedOption = None,
+    projection: ProjectionOption = None,
+    lens: LensOption = None,
+    across: AcrossOption = None,
+    azimuth: AzimuthOption = None,
+    mirror: MirrorOption = False,
+    mask: MaskOption = None,
+    encoding: EncodingOption = None,
+    level: LevelOption = None,
+    sun_zenith: SunAngle = None,
+    sun_azimuth: SunAngle = None,
+    time: MomentOption = None,
+    at: Place = None,
 ):
-    """Recover turbidity or aerosol optical depth, and more, from a measured sky.
+    """Recover turbidity or aerosol optical depth, and more, from a measured sky, or from a picture of one.
 
     As skyfit.invert does in Python: by OrdersOfScattering.normal, spherical, polarised for spectra and scalar for
     channels, where no option says otherwise. The command computes in float64; Python in the precision of its process,
@@ -98,7 +129,20 @@ def invert_command(
     measurement = NoiseModel(relative, floor, calibration, model_error, view, loss.value, threshold)
     in_range("--starts", float(starts), 1.0, _MOST_STARTS)
     priors, channels = priors_of(prior or []), response_of(response)
-    measured = read_asked(sky, latitude, longitude, utc_offset, altitude, fwhm, channels)
+    panorama, placed = None, None
+    check_kind(
+        sky, projection, lens=lens, across=across, azimuth=azimuth, mirror=mirror, mask=mask, encoding=encoding,
+        level=level, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, time=time, at=at,
+    )  # fmt: skip
+    if projection is None:
+        measured = read_asked(sky, latitude, longitude, utc_offset, altitude, fwhm, channels)
+    else:
+        panorama, placed = panorama_asked(
+            sky, projection, lens, across, azimuth, mirror, mask, encoding, level, channels, sun_zenith, sun_azimuth,
+            time, at, altitude,
+        )  # fmt: skip
+        measured, channels = panorama.sky, None
+        free = ",".join(panorama.free) if free is None else free
     if times is not None:
         measured = measured.at_times(times_of(times, measured))
     if mask_sun is not None:
@@ -131,7 +175,11 @@ def invert_command(
         for name in ("aerosol.nc", "aerosol.csv"):
             write_products(stated, out / name)
             names.append(name)
+    if panorama is not None:
+        names += write_pictures(panorama, fit, out)
     print_fit(fit)
+    if panorama is not None:
+        console.print(told_of_place(panorama, fit, placed), highlight=False)
     written = ", ".join(str(out / name) for name in names)
     console.print(f"written: {written}", highlight=False)
 

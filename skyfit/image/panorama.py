@@ -3,18 +3,26 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ..analytic import ExtendedPreetham
+from ..atmosphere import from_description
+from ..atmosphere.description import describe
 from ..measured import Response, Sky
 from ..measured.quality.placed_sun import cosine_from_sun
 from ..numerics import check_range
+from ..retrieve import Fit
+from ..retrieve.parameters import PICTURE_FREE, SUN_FREE
 from ..scene import hemisphere, unit_vectors
+from ..transport import AbstractSolver
 from .camera import Camera
 from .files import Encoding, Pixels, read_mask, read_picture, reduced
 from .found_sun import find_sun, FoundSun, Sight
+from .picture import Image
+from .render import render, Sun
 
 
 # pixels across, to which a larger picture is reduced: a quarter of a degree and less
@@ -52,6 +60,35 @@ class Panorama:
     sky: Sky
     notes: tuple[str, ...]
 
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The names that such a picture determines: of a sun that only the pattern shows its place too."""
+        return PICTURE_FREE + (SUN_FREE if self.sun.how == "pattern" else ())
+
+    def clean(self, fit: Fit, camera: Camera | None = None, sun: Sun = "none", solver: AbstractSolver | None = None):
+        """The fitted sky by itself, without clouds, of the level that its atmosphere gives it.
+
+        **Arguments:** `fit` of this panorama's `sky`; `camera` (default: the panorama's); `sun` and `solver` as
+        `skyfit.render` has them. **Returns:** `Image`, ground included.
+        """
+        model, (zenith, azimuth) = fit.fitted.models[0], self.fitted_sun(fit)
+        # of the precision of this process
+        air = from_description(describe(model.atmosphere))
+        camera = self.camera if camera is None else camera
+        return render(air, camera, sun_zenith=zenith, sun_azimuth=azimuth, sun=sun, solver=solver)
+
+    def fitted_sun(self, fit: Fit) -> tuple[float, float]:
+        """Zenith angle and azimuth of the sun in the frame of the camera, rad, with what the fit has moved it by."""
+        moved = fit.fitted.models[0].instrument
+        azimuth = self.sun.azimuth + float(moved.pointing_azimuth)
+        return self.sun.zenith + float(moved.sun_zenith), azimuth % (2.0 * np.pi)
+
+    def predicted(self, fit: Fit, clean: Image | None = None) -> Float[np.ndarray, "row column 3"]:
+        """The fitted sky as `rgb` has it: each channel of `clean` scaled by its median over the used pixels."""
+        made = (self.clean(fit) if clean is None else clean).rgb()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return made * np.nanmedian(self.rgb[self.used] / made[self.used], axis=0)
+
 
 def read_panorama(
     path: str | Path,
@@ -68,6 +105,7 @@ def read_panorama(
     sun: tuple[float, float] | None = None,
     time: np.datetime64 | None = None,
     place: tuple[float, float] = (float("nan"), float("nan")),
+    altitude: float = float("nan"),
     count: int = 300,
 ) -> Panorama:
     """The sky of a picture: an equirectangular panorama or a fisheye that looks up, level.
@@ -82,7 +120,7 @@ def read_panorama(
     - `level`: cd m^-2 of the value 1 in the picture, None: not known; `response` of a calibrated camera's red, green
       and blue, else those of linear sRGB
     - `sun`: zenith angle and azimuth, rad, as a first guess, near which it is then looked for
-    - `time`, UTC, and `place`, latitude and longitude in degrees, of the station, if known
+    - `time`, UTC, `place`, latitude and longitude in degrees, and `altitude`, m, of the station, if known
     - `count`: patches spread over the dome
 
     **Returns:** a `Panorama`. **Errors:** `ValueError` for a file that is no such picture, or shows no sky.
@@ -138,9 +176,9 @@ def read_panorama(
     used &= ~spoilt
     notes.append(_told(where))
     patches = _patches(rgb.astype(float), used, above, size, views.astype(float), count)
-    if patches[0].shape[0] < _FEWEST:
+    if patches.open.sum() < _FEWEST:
         raise ValueError(
-            f"{path.name}: {patches[0].shape[0]} patches of open sky are left, {_FEWEST} are needed: {'; '.join(notes)}"
+            f"{path.name}: {patches.open.sum()} patches of open sky are left, {_FEWEST} are needed: {'; '.join(notes)}"
         )
     if level is None:
         level = _usual_level(patches, where)
@@ -148,7 +186,7 @@ def read_panorama(
         scale_sigma = _ANY_SCALE
     else:
         scale_sigma = float("nan")
-    sky = _sky(path, patches, level, scale_sigma, where, response, time, place, notes)
+    sky = _sky(path, patches, level, scale_sigma, where, response, time, (*place, altitude), notes)
     return Panorama(rgb * np.float32(level), used, camera, where, sky, tuple(notes))
 
 
@@ -179,47 +217,58 @@ def _told(sun: FoundSun) -> str:
     return f"sun found {how}: zenith {zenith:.2f}, azimuth {azimuth:.2f} degrees, +- {sigma:.1g}"
 
 
-def _patches(rgb, used, above, size, views, count: int):
-    """Means of red, green and blue, zenith angles and azimuths of small patches that spread evenly over the dome."""
+class _Patches(NamedTuple):
+    """Means over small parts of the sky, `[patch]`: red, green and blue, where they look, rad, and which are open."""
+
+    rgb: Float[np.ndarray, "patch 3"]
+    zenith: Float[np.ndarray, " patch"]
+    azimuth: Float[np.ndarray, " patch"]
+    open: Bool[np.ndarray, " patch"]
+
+
+def _patches(rgb, used, above, size, views, count: int) -> _Patches:
+    """Patches that spread evenly over the dome; as many of each picture, so that another one compiles nothing."""
     from scipy.spatial import cKDTree
 
     dome = hemisphere(count, 0.5 * np.pi - _HORIZON)
-    middles = np.asarray(unit_vectors(dome.zenith, dome.azimuth), float).T
+    looks = np.asarray(unit_vectors(dome.zenith, dome.azimuth), float).T
     pixels, lit, weight, colour = views[:, above].T, used[above], size[above], rgb[above]
     radius = max(_PATCH, 0.8 * float(np.sqrt(np.max(weight))))
-    light, looks = [], []
-    for places in cKDTree(pixels).query_ball_point(middles, 2.0 * np.sin(0.5 * radius)):
+    light, seen = np.full((count, 3), np.nan), np.zeros(count, bool)
+    for patch, places in enumerate(cKDTree(pixels).query_ball_point(looks, 2.0 * np.sin(0.5 * radius))):
         inside = np.array(places, int)
-        if inside.size == 0 or weight[inside[lit[inside]]].sum() < _SHARE * weight[inside].sum():
+        here = inside[lit[inside]]
+        if here.size == 0 or weight[here].sum() < _SHARE * weight[inside].sum():
             continue
-        inside = inside[lit[inside]]
-        share = weight[inside] / weight[inside].sum()
-        light.append(share @ colour[inside])
-        looks.append(share @ pixels[inside])
-    east, north, up = np.reshape(looks, (-1, 3)).T
-    return np.reshape(light, (-1, 3)), np.arctan2(np.hypot(east, north), up), np.arctan2(east, north) % (2.0 * np.pi)
+        share = weight[here] / weight[here].sum()
+        light[patch], looks[patch], seen[patch] = share @ colour[here], share @ pixels[here], True
+    east, north, up = looks.T
+    return _Patches(light, np.arctan2(np.hypot(east, north), up), np.arctan2(east, north) % (2.0 * np.pi), seen)
 
 
 def _usual_level(patches, sun: FoundSun) -> float:
     """cd m^-2 of the value 1, if the patches have the green of a usual sky."""
-    light, zenith, azimuth = patches
     to_sun = unit_vectors(min(sun.zenith, _LOWEST), sun.azimuth)
-    usual = np.asarray(ExtendedPreetham.shipped().rgb(_USUAL, to_sun, unit_vectors(zenith, azimuth)), float)[1]
-    lit = (light[:, 1] > 0.0) & (usual > 0.0)
-    return float(np.exp(np.median(np.log(usual[lit] / light[lit, 1]))))
+    views = unit_vectors(patches.zenith, patches.azimuth)
+    usual = np.asarray(ExtendedPreetham.shipped().rgb(_USUAL, to_sun, views), float)[1]
+    green = patches.rgb[:, 1]
+    lit = patches.open & (np.where(patches.open, green, 0.0) > 0.0) & (usual > 0.0)
+    return float(np.exp(np.median(np.log(usual[lit] / green[lit]))))
 
 
 def _sky(path, patches, level, scale_sigma, sun: FoundSun, response, time, place, notes) -> Sky:
-    light, zenith, azimuth = patches
-    radiance = level * light
+    radiance = level * patches.rgb
+    usable = np.repeat(patches.open[:, None], 3, axis=1)
+    sigma = np.hypot(_RELATIVE * np.abs(radiance), _FLOOR * np.nanmedian(radiance, axis=0))
     response = Response.linear_srgb() if response is None else response
     return Sky(
         radiance=radiance[None],
-        sigma=np.hypot(_RELATIVE * np.abs(radiance), _FLOOR * np.median(radiance, axis=0))[None],
-        usable=np.ones((1, *radiance.shape), bool),
-        view_zenith=zenith, view_azimuth=azimuth, wavelength_nm=response.centre_nm,
+        sigma=sigma[None],
+        usable=usable[None],
+        view_zenith=patches.zenith, view_azimuth=patches.azimuth, wavelength_nm=response.centre_nm,
         sun_zenith=np.array([sun.zenith]), sun_azimuth=np.array([sun.azimuth]),
         time=np.array([np.datetime64("NaT") if time is None else time], "datetime64[ns]"),
-        latitude_deg=place[0], longitude_deg=place[1], calibration_sigma=scale_sigma, response=response,
-        notes=tuple(notes), instrument="a picture", source=path.name,
+        latitude_deg=place[0], longitude_deg=place[1], altitude_m=place[2],
+        calibration_sigma=scale_sigma, response=response, notes=tuple(notes),
+        masked={"not open sky": int(np.sum(~usable))} if not usable.all() else {}, instrument="a picture", source=path.name,
     )  # fmt: skip

@@ -204,6 +204,8 @@ PARAMETERS: dict[str, Parameter] = {p.name: p for p in _LIST}
 LOBES_FREE = tuple(p.name for p in _LIST if "lobes" in p.usual)
 PARTICLE_FREE = tuple(p.name for p in _LIST if "particles" in p.usual)
 SLOW = tuple(p.name for p in _LIST if p.slow)
+# what the pattern of a picture tells whose level, white and ground are unknown, and where its sun is but guessed
+PICTURE_FREE, SUN_FREE = ("turbidity", "asymmetry"), ("sun_zenith_offset", "pointing_azimuth")
 # where the instrument looked
 POINTING = ("pointing_zenith", "pointing_azimuth")
 
