@@ -231,7 +231,7 @@ def _patches(rgb, used, above, size, views, count: int) -> _Patches:
     from scipy.spatial import cKDTree
 
     dome = hemisphere(count, 0.5 * np.pi - _HORIZON)
-    looks = np.asarray(unit_vectors(dome.zenith, dome.azimuth), float).T
+    looks = np.array(unit_vectors(dome.zenith, dome.azimuth), float).T
     pixels, lit, weight, colour = views[:, above].T, used[above], size[above], rgb[above]
     radius = max(_PATCH, 0.8 * float(np.sqrt(np.max(weight))))
     light, seen = np.full((count, 3), np.nan), np.zeros(count, bool)
@@ -270,5 +270,6 @@ def _sky(path, patches, level, scale_sigma, sun: FoundSun, response, time, place
         time=np.array([np.datetime64("NaT") if time is None else time], "datetime64[ns]"),
         latitude_deg=place[0], longitude_deg=place[1], altitude_m=place[2],
         calibration_sigma=scale_sigma, response=response, notes=tuple(notes),
-        masked={"not open sky": int(np.sum(~usable))} if not usable.all() else {}, instrument="a picture", source=path.name,
+        masked={"not open sky": int(np.sum(~usable))} if not usable.all() else {},
+        instrument="a picture", source=path.name,
     )  # fmt: skip
