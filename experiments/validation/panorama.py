@@ -95,7 +95,7 @@ def inverted(path: Path, sun_deg: float, loss: str = "huber", **told) -> dict:
         "sun": {"how": panorama.sun.how, "off_deg": apart(panorama.sun, sun_deg),
                 "sigma_deg": float(np.degrees(panorama.sun.sigma))},
         "result": fit.result[0], "chi_square": float(fit.reduced_chi_square[0]),
-        "rmse_by_mean": float(fit.rmse[0] / panorama.sky.radiance.mean()),
+        "rmse_by_mean": float(fit.rmse[0] / np.mean(panorama.sky.radiance[panorama.sky.usable])),
         "seconds": {"read": read, "all": time.perf_counter() - start},
     }  # fmt: skip
     for name in fit.free:

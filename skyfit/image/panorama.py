@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import get_args, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,7 +18,7 @@ from ..retrieve import Fit
 from ..retrieve.parameters import PICTURE_FREE, SUN_FREE
 from ..scene import hemisphere, unit_vectors
 from ..transport import AbstractSolver
-from .camera import Camera
+from .camera import Camera, Mapping
 from .files import Encoding, Pixels, read_mask, read_picture, reduced
 from .found_sun import find_sun, FoundSun, Sight
 from .picture import Image
@@ -68,14 +68,21 @@ class Panorama:
     def clean(self, fit: Fit, camera: Camera | None = None, sun: Sun = "none", solver: AbstractSolver | None = None):
         """The fitted sky by itself, without clouds, of the level that its atmosphere gives it.
 
-        **Arguments:** `fit` of this panorama's `sky`; `camera` (default: the panorama's); `sun` and `solver` as
-        `skyfit.render` has them. **Returns:** `Image`, ground included.
+        **Arguments:** `fit` of this panorama's `sky`; `camera` (default: the panorama's); `sun` as `skyfit.render`
+        has it; `solver` (default: the fit's). **Returns:** `Image`, ground included.
         """
         model, (zenith, azimuth) = fit.fitted.models[0], self.fitted_sun(fit)
         # of the precision of this process
         air = from_description(describe(model.atmosphere))
         camera = self.camera if camera is None else camera
-        return render(air, camera, sun_zenith=zenith, sun_azimuth=azimuth, sun=sun, solver=solver)
+        return render(
+            air,
+            camera,
+            sun_zenith=zenith,
+            sun_azimuth=azimuth,
+            sun=sun,
+            solver=fit.solver if solver is None else solver,
+        )
 
     def fitted_sun(self, fit: Fit) -> tuple[float, float]:
         """Zenith angle and azimuth of the sun in the frame of the camera, rad, with what the fit has moved it by."""
@@ -128,7 +135,7 @@ def read_panorama(
     4 degrees of the sun, or what its bloom spoils, are left out.
     """
     path = Path(path)
-    check_range("count", count, 2 * _FEWEST, 5000)
+    check_range("count", count, 2.0 * _FEWEST, 5e3)
     check_range("level", level, 1e-9, 1e9, "cd m-2")
     if response is not None and len(response.weight) != 3:
         raise ValueError(f"`response` must have three channels, red, green and blue, got {len(response.weight)}")
@@ -157,7 +164,7 @@ def read_panorama(
     for reason, where in reasons.items():
         share = size[used & where].sum() / size[above].sum()
         if share > 0.0:
-            notes.append(f"{100.0 * share:.2g} % of the sky left out: {reason}")
+            notes.append(f"{100.0 * share:.3g} % of the sky left out: {reason}")
         used &= ~where
     if not used.any():
         raise ValueError(f"{path.name}: no pixel of sky is left: {'; '.join(notes)}")
@@ -193,10 +200,10 @@ def read_panorama(
 def _camera(path, found: Pixels, projection, lens: Sequence[float], field_of_view, azimuth, mirrored) -> Camera:
     kind, _, mapping = projection.partition(":")
     height, width = found.known.shape
-    if kind not in ("equirect", "fisheye"):
-        raise ValueError(
-            f"`projection` must be equirect or fisheye, with fisheye:equisolid and others, got {projection!r}"
-        )
+    known = kind == "fisheye" and mapping in get_args(Mapping) or not mapping and kind in ("equirect", "fisheye")
+    if not known:
+        wanted = f"equirect, fisheye or fisheye:{', fisheye:'.join(get_args(Mapping))}"
+        raise ValueError(f"`projection` must be one of {wanted}, got {projection!r}")
     if kind == "equirect" and width != 2 * height:
         raise ValueError(
             f"{path.name}: expected twice as many pixels across as down of an equirectangular picture of the whole "
