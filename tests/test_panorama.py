@@ -1,5 +1,6 @@
 """Pictures of the sky read to be inverted: channels by name, the sun found, what is no sky refused."""
 
+import json
 import warnings
 
 import numpy as np
@@ -204,3 +205,43 @@ def test_a_sky_of_unknown_level_and_sun_comes_back(tmp_path):
     assert turbidity == pytest.approx(3.0, abs=0.15)
     there = np.degrees(off.sun_zenith[0]) + zenith, np.degrees(off.sun_azimuth[0]) + azimuth
     assert there == pytest.approx(tuple(sun), abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("told", "said"),
+    [
+        (("sky.exr",), "sky.exr: `--projection` must say how this picture lies on the sphere, equirect or fisheye"),
+        (("sky.csv", "--mask", "mask.png"), "`--mask` is of a picture and must come with `--projection`"),
+        (("sky.exr", "--projection", "equirect", "--lens", "1"), "`--lens` must be k1,k2"),
+        (("sky.exr", "--projection", "equirect", "--sun-zenith", "40"), "must come with `--sun-azimuth`"),
+    ],
+)
+def test_the_command_refuses_in_one_line(skyfit_command, tmp_path, told, said):
+    write_picture(tmp_path / "sky.exr", clear(EQUIRECT)[0], "float", {})
+    done = skyfit_command("invert", *told, "--out", "new", cwd=tmp_path, check=False)
+    assert done.returncode == 2 and not (tmp_path / "new").exists()
+    (line,) = [line for line in done.stderr.splitlines() if line.strip()]
+    assert said in line
+
+
+@pytest.mark.slow
+def test_the_command_writes_what_is_behind_the_clouds(skyfit_command, tmp_path):
+    write_picture(tmp_path / "sky.exr", clear(skyfit.Camera("equirect", 96, 48))[0], "float", {})
+    done = skyfit_command(
+        "invert", "sky.exr", "--projection", "equirect", "--out", "new", "--solver", "single", "--preset", "draft",
+        "--geometry", "flat", "--free", "turbidity", "--at", "48,11", "--time", "2026-06-21T14:00Z", cwd=tmp_path,
+    )  # fmt: skip
+    names = {"atmosphere.json", "fit.json", "fit.nc", "fit.png", "picture.png", "sky.exr"}
+    assert {path.name for path in (tmp_path / "new").iterdir()} == names
+    (time,) = json.loads((tmp_path / "new" / "fit.json").read_text())["times"]
+    assert np.degrees(SUN[0]) == pytest.approx(time["sun_zenith_deg"], abs=0.5)
+    said = " ".join(done.stdout.split())
+    assert "sun: zenith 5" in said and "the picture is turned by" in said and "haze: aerosol optical depth" in said
+    # it is a picture that can be read again, its sun in the same place
+    again = skyfit.read_panorama(tmp_path / "new" / "sky.exr")
+    assert apart(again.sun) < 1.0
+    done = skyfit_command(
+        "render", "--atmosphere", "new/atmosphere.json", "--sun-zenith", "50", "--solver", "single", "--preset",
+        "draft", "--size", "64x32", "--out", "again.png", cwd=tmp_path,
+    )  # fmt: skip
+    assert (tmp_path / "again.png").exists()

@@ -48,5 +48,6 @@ from .turbidity import (
     meteorological_range as meteorological_range,
     optical_depth_to_turbidity as optical_depth_to_turbidity,
     turbidity_from_range as turbidity_from_range,
+    turbidity_of_models as turbidity_of_models,
     turbidity_to_optical_depth as turbidity_to_optical_depth,
 )

@@ -93,6 +93,26 @@ def optical_depth_to_turbidity(optical_depth, relation: Relation = "definition")
     return (optical_depth - offset) / slope
 
 
+def turbidity_of_models(optical_depth: float) -> dict[str, float]:
+    """The turbidity by which other models have the pattern of a sky: "hosek_wilkie", and "preetham" as published.
+
+    Their skies were inverted as pictures of unknown level, whose pattern alone tells the haze. They show less contrast
+    toward the sun than simulations of the haze that their turbidity names, so that it is larger than this package's.
+
+    **Arguments:** `optical_depth` of the haze at 550 nm. **Returns:** those models that know such a pattern; linear
+    between the turbidities that were measured, of suns 30 to 75 degrees from the zenith (Preetham: 30 and 60).
+    **Source:** experiments/validation/panorama.py.
+    """
+    table = read_table("turbidity_of_models.csv")
+    found = {}
+    for model in ("hosek_wilkie", "preetham"):
+        known = np.isfinite(table[model])
+        depths, turbidities = table[model][known], table["turbidity"][known]
+        if depths[0] <= optical_depth <= depths[-1]:
+            found[model] = float(np.interp(optical_depth, depths, turbidities))
+    return found
+
+
 def _extinctions(haze_scale_height, air_optical_length):
     """Extinction of air at the ground, and of haze for each unit of turbidity above one, m^-1."""
     check_range("haze_scale_height", haze_scale_height, 10.0, 1e6, "m")

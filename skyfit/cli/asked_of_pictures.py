@@ -102,6 +102,25 @@ def told_of_place(panorama, fit, placed) -> str:
     return said
 
 
+def told_of_haze(fit) -> str:
+    """The haze as an optical depth, and as the turbidity of models whose skies look alike; "" where it is held."""
+    from ..atmosphere import turbidity_of_models, turbidity_to_optical_depth
+
+    names = {"hosek_wilkie": "Hosek & Wilkie's", "preetham": "Preetham's as published"}
+    for name in ("turbidity", "aerosol_optical_depth"):
+        if name in fit.free:
+            value, sigma = (float(numbers[0, fit.free.index(name)]) for numbers in (fit.values, fit.sigma))
+            break
+    else:
+        return ""
+    if name == "turbidity":
+        slope = float(turbidity_to_optical_depth(2.0))
+        value, sigma = float(turbidity_to_optical_depth(value)), slope * sigma
+    alike = [f"{names[model]} turbidity {other:.2g}" for model, other in turbidity_of_models(value).items()]
+    said = f"haze: aerosol optical depth {value:.3f} +- {sigma:.2g} at 550 nm"
+    return said + (f"; skies of about this contrast: {', '.join(alike)}" if alike else "")
+
+
 def write_pictures(panorama, fit, out: Path) -> list[str]:
     """Writes the clean sky, its atmosphere and what is left of the picture; the names of the files."""
     import json

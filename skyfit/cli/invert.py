@@ -18,6 +18,7 @@ from .asked_of_pictures import (
     MomentOption,
     panorama_asked,
     ProjectionOption,
+    told_of_haze,
     told_of_place,
     write_pictures,
 )
@@ -129,6 +130,7 @@ def invert_command(
     measurement = NoiseModel(relative, floor, calibration, model_error, view, loss.value, threshold)
     in_range("--starts", float(starts), 1.0, _MOST_STARTS)
     priors, channels = priors_of(prior or []), response_of(response)
+    known = values_of_fix(fix or [])
     panorama, placed = None, None
     check_kind(
         sky, projection, lens=lens, across=across, azimuth=azimuth, mirror=mirror, mask=mask, encoding=encoding,
@@ -142,12 +144,11 @@ def invert_command(
             time, at, altitude,
         )  # fmt: skip
         measured, channels = panorama.sky, None
-        free = ",".join(panorama.free) if free is None else free
+        free = ",".join(name for name in panorama.free if name not in known) if free is None else free
     if times is not None:
         measured = measured.at_times(times_of(times, measured))
     if mask_sun is not None:
         measured = without_sun(measured, radians(in_range("--mask-sun", mask_sun, 0.0, 180.0)))
-    known = values_of_fix(fix or [])
     names = free_of(free, measured, known)
     # what is usual is said to be so
     asked = None if free is None and not known else names
@@ -179,7 +180,8 @@ def invert_command(
         names += write_pictures(panorama, fit, out)
     print_fit(fit)
     if panorama is not None:
-        console.print(told_of_place(panorama, fit, placed), highlight=False)
+        for sentence in (told_of_place(panorama, fit, placed), told_of_haze(fit)):
+            console.print(sentence, highlight=False)
     written = ", ".join(str(out / name) for name in names)
     console.print(f"written: {written}", highlight=False)
 

@@ -143,10 +143,8 @@ def read_panorama(
     camera = _camera(path, found, projection, lens, field_of_view, azimuth, mirrored)
     allowed = np.ones(found.known.shape, bool) if mask is None else read_mask(Path(mask))
     if allowed.shape != found.known.shape:
-        (high, wide), (rows, columns) = found.known.shape, allowed.shape
-        raise ValueError(
-            f"{Path(mask or '').name}: expected {wide} x {high} pixels as the picture has, found {columns} x {rows}"
-        )
+        wanted, other = (f"{shape[1]} x {shape[0]}" for shape in (found.known.shape, allowed.shape))
+        raise ValueError(f"{Path(mask or '').name}: expected {wanted} pixels as the picture has, found {other}")
     pixels, allowed, camera = reduced(found, allowed, camera, _WIDEST)
     rgb = pixels.rgb
     views = camera.views()
@@ -235,14 +233,14 @@ class _Patches(NamedTuple):
 
 def _patches(rgb, used, above, size, views, count: int) -> _Patches:
     """Patches that spread evenly over the dome; as many of each picture, so that another one compiles nothing."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     dome = hemisphere(count, 0.5 * np.pi - _HORIZON)
     looks = np.array(unit_vectors(dome.zenith, dome.azimuth), float).T
     pixels, lit, weight, colour = views[:, above].T, used[above], size[above], rgb[above]
     radius = max(_PATCH, 0.8 * float(np.sqrt(np.max(weight))))
     light, seen = np.full((count, 3), np.nan), np.zeros(count, bool)
-    for patch, places in enumerate(cKDTree(pixels).query_ball_point(looks, 2.0 * np.sin(0.5 * radius))):
+    for patch, places in enumerate(KDTree(pixels).query_ball_point(looks, 2.0 * np.sin(0.5 * radius))):
         inside = np.array(places, int)
         here = inside[lit[inside]]
         if here.size == 0 or weight[here].sum() < _SHARE * weight[inside].sum():
