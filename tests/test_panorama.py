@@ -106,7 +106,7 @@ def test_channels_are_found_by_name_and_encodings_undone(tmp_path):
         0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)})  # fmt: skip
     made = read_picture(tmp_path / "aces.exr").rgb[0, 0]
     np.testing.assert_allclose(
-        skyfit.light.SRGB_FROM_XYZ @ [0.32168 / 0.33767, 1.0, 0.34465 / 0.33767], made, rtol=1e-3
+        skyfit.light.SRGB_FROM_XYZ @ [0.32168 / 0.33767, 1.0, 0.34065 / 0.33767], made, rtol=1e-3
     )
 
 
@@ -175,10 +175,12 @@ def test_some_bad_pixels_are_left_out_and_told(tmp_path):
     assert [note.partition(": ")[2] for note in found.notes[1:3]] == ["not finite or not opaque", "black or negative"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("haste")
 def test_a_sky_of_unknown_level_and_sun_comes_back(tmp_path):
     """A picture by single scattering; the fit begins with a sun that is off."""
-    solver, response = skyfit.SingleScattering.draft("flat"), skyfit.Response.linear_srgb()
+    solver, bands = skyfit.SingleScattering.draft("flat"), np.array([450.0, 550.0, 620.0])
+    response = skyfit.Response(bands, np.eye(3)[::-1], ("R", "G", "B"))
     camera = skyfit.Camera("equirect", 64, 32)
     views = camera.views(0, 16).reshape(3, -1).astype(float)
     view = skyfit.Directions(np.arccos(views[2]), np.arctan2(views[0], views[1]))
@@ -188,10 +190,10 @@ def test_a_sky_of_unknown_level_and_sun_comes_back(tmp_path):
     haze = skyfit.turbidity_to_optical_depth(3.0)
     air = air.replace(aerosol=skyfit.Aerosol(haze, phase=air.aerosol.phase))
     rgb = np.asarray(solver.radiance(air, scene), float) @ response.weight.T
-    picture = np.full((32, 64, 3), 1.0)
+    picture = np.full((32, 64, 3), np.median(rgb))
     picture[:16] = rgb.reshape(16, 64, 3) * np.array([1.1, 1.0, 0.9])
     write_picture(tmp_path / "sky.exr", (7e-5 * picture).astype(np.float32), "float", {})
-    found = skyfit.read_panorama(tmp_path / "sky.exr")
+    found = skyfit.read_panorama(tmp_path / "sky.exr", response=response)
     assert apart(found.sun) < 1.0
     off = skyfit.Sky(**{
         **vars(found.sky), "sun_zenith": found.sky.sun_zenith + np.radians(5.0),
@@ -212,8 +214,6 @@ def test_a_sky_of_unknown_level_and_sun_comes_back(tmp_path):
     [
         (("sky.exr",), "sky.exr: `--projection` must say how this picture lies on the sphere, equirect or fisheye"),
         (("sky.csv", "--mask", "mask.png"), "`--mask` is of a picture and must come with `--projection`"),
-        (("sky.exr", "--projection", "equirect", "--lens", "1"), "`--lens` must be k1,k2"),
-        (("sky.exr", "--projection", "equirect", "--sun-zenith", "40"), "must come with `--sun-azimuth`"),
     ],
 )
 def test_the_command_refuses_in_one_line(skyfit_command, tmp_path, told, said):
