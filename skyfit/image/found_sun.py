@@ -12,9 +12,9 @@ How = Literal["disc", "patch", "aureole", "pattern"]
 # rad: the ring that a disc outshines, and by how much, which no aureole and no cloud does
 _RING, _OUTSHINES = np.radians([4.0, 8.0]), 30.0
 # a saturated patch is the sun's: so far from where the pattern has it, so large at most, rad, and so round at least
-_PATCH, _LARGEST, _ROUND = np.radians(25.0), np.radians(20.0), 2.5
+_PATCH, _LARGEST, _ROUND = np.radians(25.0), np.radians(25.0), 2.5
 # what is spoilt around the disc, rad, and by its radius; how far off the middle of a patch may be, by its radius
-_BLOOM, _SPREAD, _OFF = np.radians(2.0), 1.5, 0.15
+_BLOOM, _SPREAD, _OFF = np.radians(2.0), 1.2, 0.3
 # rad from a first guess on
 _WITHIN = np.radians(35.0)
 # of the pattern: pixels, rad from the horizon, suns that are tried, rad apart, and what it is good for
@@ -80,7 +80,9 @@ def find_sun(sight: Sight, near: tuple[float, float] | None = None) -> FoundSun:
     if disc is not None:
         return FoundSun(*disc[:3], "disc", disc[3], explained)
     patch = _patch(sight, place)
-    aureole = _by_aureole(sight.take(sight.used), place if patch is None else patch[:2])
+    # the light around a patch begins at its rim
+    place, rim = (place, 0.0) if patch is None else (patch[:2], (patch[3] - _BLOOM) / _SPREAD)
+    aureole = _by_aureole(sight.take(sight.used), place, rim)
     if patch is not None:
         # the patch reaches farther to where the sky is brighter: the light around it knows the middle better
         if aureole is not None and cosine_from_sun(*aureole[:2], *patch[:2]) > np.cos(patch[3]):
@@ -157,10 +159,10 @@ def _by_pattern(sky: Sight, near) -> tuple[tuple[float, float], float]:
     return (min(zenith, np.radians(89.0)), azimuth), explained
 
 
-def _by_aureole(sky: Sight, place):
+def _by_aureole(sky: Sight, place, rim: float):
     """The sun by the light around it, looked at ever nearer, with its sigma; None where there is too little of it."""
     sigma = _COARSE
-    for look in _LOOKS:
+    for look in _LOOKS + rim:
         before = place
         for _ in range(2):
             some = sky.take(sky.within(place, look))
@@ -186,7 +188,7 @@ def _by_aureole(sky: Sight, place):
         else:
             sigma = max(float(np.arccos(np.clip(cosine_from_sun(*before, *place), -1.0, 1.0))), _FINEST)
             continue
-        return None if look == _LOOKS[0] else (*place, sigma)
+        return None if look == _LOOKS[0] + rim else (*place, sigma)
     return *place, sigma
 
 
