@@ -4,7 +4,7 @@
 
 Skies of Hosek & Wilkie as mitsuba's `sunsky` has them (without the sun), of Preetham as published and of skyfit's own
 `Spherical`, written as pictures of unknown level. Writes experiments/results/panorama.json, and which optical depth has
-the pattern of which turbidity into data/turbidity_of_models.csv, which `skyfit invert` tells its users.
+the pattern of which turbidity of Hosek & Wilkie into data/hosek_turbidity.csv, by which `skyfit invert` translates.
 """
 
 import json
@@ -22,11 +22,11 @@ from skyfit.measured.quality.placed_sun import cosine_from_sun
 
 
 RESULT = HERE / "results" / "panorama.json"
-TABLE = HERE.parent / "data" / "turbidity_of_models.csv"
+TABLE = HERE.parent / "data" / "hosek_turbidity.csv"
 WIDE, HIGH = 360, 180
 AZIMUTH, SEED = 200.0, 7
 TURBIDITIES, SUNS = (2.0, 3.0, 5.0, 8.0), (30.0, 60.0, 75.0)
-OF_PREETHAM = (2.0, 3.0, 5.0)
+OF_PREETHAM = (2.0, 3.0)
 # the coarse solver is within some per cent, the models are tens apart
 SOLVER = skyfit.OrdersOfScattering.draft()
 # degrees that a first guess is off: in zenith angle and in azimuth
@@ -83,13 +83,12 @@ def apart(found, sun_deg: float) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def inverted(path: Path, sun_deg: float, loss: str = "huber", **told) -> dict:
+def inverted(path: Path, sun_deg: float, **told) -> dict:
     """The sun and the haze of a picture."""
     start = time.perf_counter()
     panorama = skyfit.read_panorama(path, **told)
     read = time.perf_counter() - start
-    noise = skyfit.NoiseModel(loss=loss)
-    fit = skyfit.invert(panorama.sky, panorama.free, SOLVER, measurement=noise)
+    fit = skyfit.invert(panorama.sky, panorama.free, SOLVER)
     place = {name: k for k, name in enumerate(fit.free)}
     row = {
         "sun": {"how": panorama.sun.how, "off_deg": apart(panorama.sun, sun_deg),
@@ -146,34 +145,28 @@ def main():
         write_picture(folder / "mask.png", mask, "uint8", {})
         cases = {
             "whole": (own, "sky.exr", {}), "a third masked": (own, "sky.exr", {"mask": folder / "mask.png"}),
-            "8 bits, saturated": (own, "sky.png", {}), "clouds, huber": (clouded(own), "sky.exr", {}),
-            "clouds, cauchy": (clouded(own), "sky.exr", {"loss": "cauchy"}),
+            "8 bits, saturated": (own, "sky.png", {}), "clouds": (clouded(own), "sky.exr", {}),
         }  # fmt: skip
         for case, (picture, file, told) in cases.items():
             special[case] = inverted(written(folder, picture, file), 50.0, **told)
             print(case, json.dumps(special[case]), flush=True)
     alike = {
-        model: {
-            f"{turbidity:g}": {"median": float(np.median(depths)), "lowest": min(depths), "highest": max(depths)}
-            for turbidity in dict.fromkeys(row["turbidity_of_model"] for row in rows if row["model"] == model)
-            for depths in [[r["aerosol_optical_depth"] for r in rows
-                            if (r["model"], r["turbidity_of_model"]) == (model, turbidity)]]
-        }
-        for model in ("hosek_wilkie", "preetham")
+        turbidity: [row["aerosol_optical_depth"] for row in rows
+                    if (row["model"], row["turbidity_of_model"]) == ("hosek_wilkie", turbidity)]
+        for turbidity in TURBIDITIES
     }  # fmt: skip
     record = {
         "made_with": made_with(SEED, ("mitsuba",)), "solver": "OrdersOfScattering.draft", "pixels": [WIDE, HIGH],
-        "suns_deg": SUNS, "skies": rows, "guesses": guesses, "special": special, "aerosol_optical_depth_of": alike,
+        "suns_deg": SUNS, "skies": rows, "guesses": guesses, "special": special,
+        "aerosol_optical_depth_of_hosek": {f"{turbidity:g}": depths for turbidity, depths in alike.items()},
     }  # fmt: skip
     RESULT.write_text(json.dumps(record, indent=1) + "\n")
     lines = [
-        "# Aerosol optical depth at 550 nm whose sky, of skyfit, has the pattern of one of others' turbidity, level",
-        "# free: median over suns of 30 to 75. Made by experiments/validation/panorama.py.",
-        "turbidity,hosek_wilkie,preetham",
+        "# Aerosol optical depth at 550 nm whose sky has the pattern of Hosek & Wilkie's, level free: median",
+        "# over suns of 30, 60 and 75 degrees. Made by experiments/validation/panorama.py from mitsuba's sunsky.",
+        "hosek_turbidity,aerosol_optical_depth",
+        *(f"{turbidity:g},{np.median(depths):.4f}" for turbidity, depths in alike.items()),
     ]
-    for turbidity, found in alike["hosek_wilkie"].items():
-        other = alike["preetham"].get(turbidity)
-        lines.append(f"{turbidity},{found['median']:.4f},{'' if other is None else format(other['median'], '.4f')}")
     TABLE.write_text("\n".join(lines) + "\n")
 
 

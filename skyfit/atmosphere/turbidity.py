@@ -93,24 +93,19 @@ def optical_depth_to_turbidity(optical_depth, relation: Relation = "definition")
     return (optical_depth - offset) / slope
 
 
-def turbidity_of_models(optical_depth: float) -> dict[str, float]:
-    """The turbidity by which other models have the pattern of a sky: "hosek_wilkie", and "preetham" as published.
+def hosek_turbidity(optical_depth: float) -> float:
+    """The turbidity by which the model of Hosek & Wilkie 2012 has the pattern of a sky with such a haze.
 
-    Their skies were inverted as pictures of unknown level, whose pattern alone tells the haze. They show less contrast
-    toward the sun than simulations of the haze that their turbidity names, so that it is larger than this package's.
+    His skies were inverted as pictures of unknown level, whose pattern alone tells the haze: they show less contrast
+    toward the sun than a simulation of the haze that their turbidity names, so that it is larger than ours.
 
-    **Arguments:** `optical_depth` of the haze at 550 nm. **Returns:** those models that know such a pattern; linear
-    between the turbidities that were measured, of suns 30 to 75 degrees from the zenith (Preetham: 30 and 60).
-    **Source:** experiments/validation/panorama.py.
+    **Arguments:** `optical_depth` of the haze at 550 nm. **Returns:** linear between the turbidities 2 to 8 that were
+    measured, under suns 30 to 75 degrees from the zenith; NaN beyond them.
+    **Source:** experiments/validation/panorama.py, by mitsuba's `sunsky`.
     """
-    table = read_table("turbidity_of_models.csv")
-    found = {}
-    for model in ("hosek_wilkie", "preetham"):
-        known = np.isfinite(table[model])
-        depths, turbidities = table[model][known], table["turbidity"][known]
-        if depths[0] <= optical_depth <= depths[-1]:
-            found[model] = float(np.interp(optical_depth, depths, turbidities))
-    return found
+    table = read_table("hosek_turbidity.csv")
+    depths = table["aerosol_optical_depth"]
+    return float(np.interp(optical_depth, depths, table["hosek_turbidity"], left=np.nan, right=np.nan))
 
 
 def _extinctions(haze_scale_height, air_optical_length):

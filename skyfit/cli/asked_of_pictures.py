@@ -103,22 +103,22 @@ def told_of_place(panorama, fit, placed) -> str:
 
 
 def told_of_haze(fit) -> str:
-    """The haze as an optical depth, and as the turbidity of models whose skies look alike; "" where it is held."""
-    from ..atmosphere import turbidity_of_models, turbidity_to_optical_depth
+    """The haze as an optical depth, and as the turbidity of a model whose skies look alike; "" where it is held."""
+    import math
 
-    names = {"hosek_wilkie": "Hosek & Wilkie's", "preetham": "Preetham's as published"}
-    for name in ("turbidity", "aerosol_optical_depth"):
-        if name in fit.free:
-            value, sigma = (float(numbers[0, fit.free.index(name)]) for numbers in (fit.values, fit.sigma))
-            break
+    from ..atmosphere import hosek_turbidity, turbidity_to_optical_depth
+
+    free = dict(zip(fit.free, zip(fit.values[0], fit.sigma[0], strict=True), strict=True))
+    if "turbidity" in free:
+        value, sigma = free["turbidity"]
+        depth, sigma = float(turbidity_to_optical_depth(value)), float(turbidity_to_optical_depth(2.0)) * sigma
+    elif "aerosol_optical_depth" in free:
+        depth, sigma = free["aerosol_optical_depth"]
     else:
         return ""
-    if name == "turbidity":
-        slope = float(turbidity_to_optical_depth(2.0))
-        value, sigma = float(turbidity_to_optical_depth(value)), slope * sigma
-    alike = [f"{names[model]} turbidity {other:.2g}" for model, other in turbidity_of_models(value).items()]
-    said = f"haze: aerosol optical depth {value:.3f} +- {sigma:.2g} at 550 nm"
-    return said + (f"; skies of about this contrast: {', '.join(alike)}" if alike else "")
+    other = hosek_turbidity(depth)
+    alike = "" if math.isnan(other) else f"; Hosek & Wilkie's sky has this pattern at turbidity {other:.2g}"
+    return f"haze: aerosol optical depth {depth:.3f} +- {sigma:.2g} at 550 nm{alike}"
 
 
 def write_pictures(panorama, fit, out: Path) -> list[str]:
