@@ -245,3 +245,10 @@ def test_the_command_writes_what_is_behind_the_clouds(skyfit_command, tmp_path):
         "draft", "--size", "64x32", "--out", "again.png", cwd=tmp_path,
     )  # fmt: skip
     assert (tmp_path / "again.png").exists()
+
+
+def test_the_turbidity_of_hosek_is_that_of_the_table():
+    table = skyfit.tables.read_table("hosek_turbidity.csv")
+    for turbidity, depth in zip(table["hosek_turbidity"], table["aerosol_optical_depth"], strict=True):
+        assert skyfit.atmosphere.hosek_turbidity(float(depth)) == pytest.approx(turbidity)
+    assert np.isnan(skyfit.atmosphere.hosek_turbidity(2.0))
