@@ -51,7 +51,13 @@ from .atmosphere import (
     TwoTermHenyeyGreenstein as TwoTermHenyeyGreenstein,
 )
 from .draw import plot as plot
-from .image import Camera as Camera, Image as Image, render as render
+from .image import (
+    Camera as Camera,
+    Image as Image,
+    Panorama as Panorama,
+    read_panorama as read_panorama,
+    render as render,
+)
 from .light import daylight as daylight, srgb as srgb, srgb_from_linear as srgb_from_linear, xyY as xyY, xyz as xyz
 from .measured import (
     NoiseModel as NoiseModel,

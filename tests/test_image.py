@@ -20,6 +20,8 @@ CAMERAS = (
     skyfit.Camera("equirect", 48, 24, azimuth=1.0),
     skyfit.Camera("fisheye", 40, 30),
     skyfit.Camera("fisheye", 30, 30, field_of_view=2.0 * np.pi, mirrored=True),
+    skyfit.Camera("fisheye", 40, 40, field_of_view=3.3, mapping="equisolid", k1=-0.02, k2=0.002),
+    skyfit.Camera("fisheye", 41, 41, mapping="stereographic", k1=0.03),
     skyfit.Camera("perspective", 40, 30, azimuth=4.0, elevation=0.5, field_of_view=1.2),
     skyfit.Camera("perspective", 40, 30, azimuth=-1.0, elevation=-0.4, field_of_view=2.5),
     skyfit.Camera("cube", 192, 32, azimuth=2.0),
@@ -56,6 +58,36 @@ def test_a_pixel_sees_what_its_neighbours_leave_it(camera):
     outward = np.cross(right, down) @ views[:, middle[0], middle[1]]
     as_map = camera.projection == "fisheye" and not camera.mirrored
     assert np.sign(outward) == (-1.0 if as_map else 1.0)
+
+
+def test_lenses_keep_what_their_names_say():
+    """Equal areas; equal angles; and the perfect lens bent by the polynomial of its distortion."""
+    equal = skyfit.Camera("fisheye", 64, 64, mapping="equisolid")
+    size = equal.solid_angle(*every(equal))
+    np.testing.assert_allclose(size[size > 0.0], 4.0 * np.pi * np.sin(np.pi / 4) ** 2 / (np.pi * 32.0**2), rtol=1e-9)
+    alike = skyfit.Camera("fisheye", 65, 65, mapping="stereographic").views().astype(float)
+    # a step outward is as long as a step aside
+    out, aside = alike[:, 32, 61] - alike[:, 32, 59], alike[:, 33, 60] - alike[:, 31, 60]
+    assert np.linalg.norm(out) == pytest.approx(np.linalg.norm(aside), rel=2e-3)
+    bent = skyfit.Camera("fisheye", 201, 201, k1=0.05, k2=-0.01)
+    angle = np.arccos(bent.views()[2, 100, 100:200].astype(float))
+    reach = angle + 0.05 * angle**3 - 0.01 * angle**5
+    edge = 0.5 * np.pi * (1.0 + 0.05 * (0.5 * np.pi) ** 2 - 0.01 * (0.5 * np.pi) ** 4)
+    np.testing.assert_allclose(reach / edge, np.arange(100) / 100.5, atol=3e-4)
+
+
+@pytest.mark.parametrize(
+    ("told", "said"),
+    [
+        ({"mapping": "stereographic", "field_of_view": 2.0 * np.pi}, "`field_of_view` must be one that the lens"),
+        ({"k1": -0.3}, "`field_of_view` must be one that the lens spreads out, got 180 degrees with equidistant"),
+        ({"projection": "perspective", "k1": 0.1}, "must be left out with"),
+        ({"projection": "perspective", "field_of_view": 3.0}, "`field_of_view` must be between"),
+    ],
+)
+def test_a_lens_that_folds_the_sphere_is_refused(told, said):
+    with pytest.raises(ValueError, match=said):
+        skyfit.Camera(**{"projection": "fisheye", "width": 40, "height": 40} | told)
 
 
 def test_the_whole_sphere_and_where_things_are():

@@ -127,4 +127,5 @@ def test_what_holds_of_a_parameter_is_told_by_it():
         check_free(names, has)
         kind = [n for n in names if PARAMETERS[n].group]
         assert kind and not values_of(lacks, kind)
-    assert [p.name for p in PARAMETERS.values() if p.of_instrument] == ["pointing_zenith", "pointing_azimuth"]
+    of_instrument = [p.name for p in PARAMETERS.values() if p.of_instrument]
+    assert of_instrument == ["pointing_zenith", "pointing_azimuth", "sun_zenith_offset"]

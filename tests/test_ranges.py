@@ -130,10 +130,10 @@ RANGES = [
         {field.name: (-1e38, 1e38) for field in fields(Perez)},
     ),
     (
-        skyfit.Camera, {"projection": "perspective"},
+        skyfit.Camera, {"projection": "fisheye", "field_of_view": 1.0},
         {
-            "azimuth": (-4.0 * PI, 4.0 * PI), "elevation": (-0.5 * PI, 0.5 * PI),
-            "field_of_view": (1e-4, float(np.radians(170.0))),
+            "azimuth": (-4.0 * PI, 4.0 * PI), "elevation": (-0.5 * PI, 0.5 * PI), "field_of_view": (1e-4, 2.0 * PI),
+            "k1": (-0.5, 0.5), "k2": (-0.5, 0.5),
         },
     ),
     (
@@ -150,7 +150,7 @@ RANGES = [
     ),
 ]  # fmt: skip
 # what a call answers or a file holds: nobody makes one with arguments of his own
-ANSWERS = {"Fit", "Fits", "Image", "Irradiances", "Path", "Sky", "SphericalField", "Stokes", "Upsampled"}
+ANSWERS = {"Fit", "Fits", "Image", "Irradiances", "Panorama", "Path", "Sky", "SphericalField", "Stokes", "Upsampled"}
 # parts by name, and coefficients of a fit of which each number is one
 OTHER = {"Atmosphere", "CIEClear", "ExtendedPreetham", "Preetham"}
 # ends that another condition refuses: an interval that is none, a density of 0, no noise at all

@@ -27,7 +27,7 @@ TRUTH = {
     "aerosol_optical_depth": 0.2, "angstrom_exponent": 1.1, "single_scattering_albedo": 0.9,
     "single_scattering_albedo_slope": 0.03, "asymmetry": 0.7, "asymmetry_second": 0.1, "forward_fraction": 0.8,
     "aerosol_scale_height": 1500.0, "ozone": 310.0, "ground_albedo": 0.2, "ground_albedo_slope": 0.05,
-    "pressure": 9.5e4, "pointing_zenith": 0.4, "pointing_azimuth": -0.7,
+    "pressure": 9.5e4, "pointing_zenith": 0.4, "pointing_azimuth": -0.7, "sun_zenith_offset": 0.3,
 }  # fmt: skip
 FREE = ("aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo", "asymmetry", "ozone")
 PRIOR = np.array([0.5, 1.0, 0.1, 0.1, 50.0])
@@ -52,7 +52,8 @@ def atmosphere_of(**changes):
 
 def model_of(**changes):
     v = TRUTH | changes
-    pointing = Instrument(np.radians(v["pointing_zenith"]), np.radians(v["pointing_azimuth"]))
+    angles = (v[name] for name in ("pointing_zenith", "pointing_azimuth", "sun_zenith_offset"))
+    pointing = Instrument(*(np.radians(angle) for angle in angles))
     return SkyModel(atmosphere_of(**changes), pointing)
 
 
@@ -62,7 +63,7 @@ def by_hand(solver, view, **changes):
     zenith = np.asarray(view.zenith, float) - np.radians(v["pointing_zenith"])
     azimuth = np.asarray(view.azimuth, float) - np.radians(v["pointing_azimuth"])
     moved = skyfit.Directions(np.abs(zenith), np.where(zenith < 0.0, azimuth + np.pi, azimuth))
-    scene = skyfit.Scene.from_degrees(40.0, moved, WAVELENGTH, 30.0)
+    scene = skyfit.Scene.from_degrees(40.0 + v["sun_zenith_offset"], moved, WAVELENGTH, 30.0)
     return np.asarray(solver.radiance(atmosphere_of(**changes), scene), float)
 
 

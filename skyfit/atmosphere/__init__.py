@@ -45,6 +45,7 @@ from .rayleigh import (
 )
 from .turbidity import (
     angstrom_coefficient as angstrom_coefficient,
+    hosek_turbidity as hosek_turbidity,
     meteorological_range as meteorological_range,
     optical_depth_to_turbidity as optical_depth_to_turbidity,
     turbidity_from_range as turbidity_from_range,

@@ -104,6 +104,21 @@ def optical_depth_to_turbidity(optical_depth, relation: Relation = "definition")
     return (optical_depth - offset) / slope
 
 
+def hosek_turbidity(optical_depth: float) -> float:
+    """The turbidity by which the model of Hosek & Wilkie 2012 has the pattern of a sky with such a haze.
+
+    His skies were inverted as pictures of unknown level, whose pattern alone tells the haze: they show less contrast
+    toward the sun than a simulation of the haze that their turbidity names, so that it is larger than ours.
+
+    **Arguments:** `optical_depth` of the haze at 550 nm. **Returns:** linear between the turbidities 2 to 8 that were
+    measured, under suns 30 to 75 degrees from the zenith; NaN beyond them.
+    **Source:** experiments/validation/panorama.py, by mitsuba's `sunsky`.
+    """
+    table = read_table("hosek_turbidity.csv")
+    depths = table["aerosol_optical_depth"]
+    return float(np.interp(optical_depth, depths, table["hosek_turbidity"], left=np.nan, right=np.nan))
+
+
 def _extinctions(haze_scale_height, air_optical_length):
     """Extinction of air at the ground, and of haze for each unit of turbidity above one, m^-1."""
     check_range("haze_scale_height", haze_scale_height, 10.0, 1e6, "m")

@@ -6,6 +6,22 @@ from typing import Annotated
 import typer
 
 from .asked_of_files import Altitude, Latitude, Longitude, MaskSun, read_asked, ResponseOption, Times, UtcOffset
+from .asked_of_pictures import (
+    AcrossOption,
+    AzimuthOption,
+    check_kind,
+    EncodingOption,
+    LensOption,
+    LevelOption,
+    MaskOption,
+    MirrorOption,
+    MomentOption,
+    panorama_asked,
+    ProjectionOption,
+    told_of_haze,
+    told_of_place,
+    write_pictures,
+)
 from .known import PARAMETER_NAMES, THRESHOLD
 from .options import (
     app,
@@ -17,10 +33,12 @@ from .options import (
     LineShape,
     LossName,
     OutFolder,
+    Place,
     PolarisedOption,
     PresetName,
     PresetOption,
     SolverOption,
+    SunAngle,
 )
 
 
@@ -40,7 +58,9 @@ _WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 
 @app.command("invert", epilog="Example: skyfit invert scan.nc --out fit --prior ozone=310,15")
 def invert_command(
-    sky: Annotated[Path, typer.Argument(help="of an instrument, NetCDF, CSV or a folder of ASD text exports")],
+    sky: Annotated[
+        Path, typer.Argument(help="of an instrument, NetCDF, CSV, a folder of ASD text exports, or a picture")
+    ],
     out: OutFolder,
     free: FreeOption = None,
     fix: Annotated[list[str] | None, typer.Option(help="name=value of a parameter that is known")] = None,
@@ -75,8 +95,20 @@ def invert_command(
     preset: PresetOption = PresetName.normal,
     geometry: GeometryOption = GeometryName.spherical,
     polarised: PolarisedOption = None,
+    projection: ProjectionOption = None,
+    lens: LensOption = None,
+    across: AcrossOption = None,
+    azimuth: AzimuthOption = None,
+    mirror: MirrorOption = False,
+    mask: MaskOption = None,
+    encoding: EncodingOption = None,
+    level: LevelOption = None,
+    sun_zenith: SunAngle = None,
+    sun_azimuth: SunAngle = None,
+    time: MomentOption = None,
+    at: Place = None,
 ):
-    """Recover turbidity or aerosol optical depth, and more, from a measured sky.
+    """Recover turbidity or aerosol optical depth, and more, from a measured sky, or from a picture of one.
 
     As skyfit.invert does in Python: by OrdersOfScattering.normal, spherical, polarised for spectra and scalar for
     channels, where no option says otherwise. The command computes in float64; Python in the precision of its process,
@@ -102,12 +134,25 @@ def invert_command(
     measurement = NoiseModel(relative, floor, calibration, model_error, view, loss.value, threshold)
     in_range("--starts", float(starts), 1.0, _MOST_STARTS)
     priors, channels = priors_of(prior or []), response_of(response)
-    measured = read_asked(sky, latitude, longitude, utc_offset, altitude, fwhm, channels)
+    known = values_of_fix(fix or [])
+    panorama, placed = None, None
+    check_kind(
+        sky, projection, lens=lens, across=across, azimuth=azimuth, mirror=mirror, mask=mask, encoding=encoding,
+        level=level, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, time=time, at=at,
+    )  # fmt: skip
+    if projection is None:
+        measured = read_asked(sky, latitude, longitude, utc_offset, altitude, fwhm, channels)
+    else:
+        panorama, placed = panorama_asked(
+            sky, projection, lens, across, azimuth, mirror, mask, encoding, level, channels, sun_zenith, sun_azimuth,
+            time, at, altitude,
+        )  # fmt: skip
+        measured, channels = panorama.sky, None
+        free = ",".join(name for name in panorama.free if name not in known) if free is None else free
     if times is not None:
         measured = measured.at_times(times_of(times, measured))
     if mask_sun is not None:
         measured = without_sun(measured, radians(in_range("--mask-sun", mask_sun, 0.0, 180.0)))
-    known = values_of_fix(fix or [])
     names = free_of(free, measured, known)
     # what is usual is said to be so
     asked = None if free is None and not known else names
@@ -135,7 +180,12 @@ def invert_command(
         for name in ("aerosol.nc", "aerosol.csv"):
             write_products(stated, out / name)
             names.append(name)
+    if panorama is not None:
+        names += write_pictures(panorama, fit, out)
     print_fit(fit)
+    if panorama is not None:
+        for sentence in (told_of_place(panorama, fit, placed), told_of_haze(fit)):
+            console.print(sentence, highlight=False)
     written = ", ".join(str(out / name) for name in names)
     console.print(f"written: {written}", highlight=False)
 

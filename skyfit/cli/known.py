@@ -6,7 +6,7 @@ PARAMETER_NAMES = (
     "single_scattering_albedo_slope", "asymmetry", "asymmetry_second", "forward_fraction", "forward_fraction_slope",
     "haze_polarisation", "fine_fraction", "fine_radius", "coarse_radius", "fine_width", "coarse_width",
     "refractive_index", "absorption_index", "aerosol_scale_height", "ozone", "ground_albedo", "ground_albedo_slope",
-    "ground_red_edge", "pressure", "pointing_zenith", "pointing_azimuth",
+    "ground_red_edge", "pressure", "pointing_zenith", "pointing_azimuth", "sun_zenith_offset",
 )  # fmt: skip
 # of `NoiseModel`, in sigma
 THRESHOLD = 3.0

@@ -54,6 +54,7 @@ SunZenith = Annotated[float | None, typer.Option(help="degrees; or --time and --
 SunAzimuth = Annotated[
     float | None, typer.Option(help="degrees clockwise from north  [default: 180]", show_default=False)
 ]
+SunAngle = Annotated[float | None, typer.Option(help="degrees, a first guess of a picture's sun")]
 Place = Annotated[str | None, typer.Option(help="LAT,LON in degrees, north and east positive")]
 GroundAlbedo = Annotated[float, typer.Option(help="of a Lambertian ground")]
 OzoneColumn = Annotated[float, typer.Option("--ozone", help="Dobson units")]

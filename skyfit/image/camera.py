@@ -10,6 +10,7 @@ from ..numerics import check_range
 
 
 Projection = Literal["equirect", "fisheye", "cube", "perspective"]
+Mapping = Literal["equidistant", "equisolid", "stereographic"]
 # pixels on a side
 _LARGEST = 32768.0
 # right, up and ahead of each face of a cube, on the axes right, up and ahead of who looks at its fifth
@@ -17,6 +18,28 @@ _FACES = np.array([
     [[0, 0, -1], [0, 1, 0], [1, 0, 0]], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
     [[1, 0, 0], [0, 0, 1], [0, -1, 0]], [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
 ], float)  # fmt: skip
+# lengths of a fisheye's picture by its focal length: a lens that draws farther out is none
+_FARTHEST = 100.0
+
+
+def _length(mapping: Mapping, angle):
+    """From the middle, by the focal length."""
+    half = 0.5 * angle
+    return {"equidistant": angle, "equisolid": 2.0 * np.sin(half), "stereographic": 2.0 * np.tan(half)}[mapping]
+
+
+def _slope(mapping: Mapping, angle):
+    """Of `_length`."""
+    if mapping == "equidistant":
+        return np.ones_like(angle)
+    return np.cos(0.5 * angle) if mapping == "equisolid" else np.cos(0.5 * angle) ** -2
+
+
+def _angle_of(mapping: Mapping, length):
+    """The inverse of `_length`."""
+    if mapping == "equidistant":
+        return length
+    return 2.0 * (np.arcsin(np.minimum(0.5 * length, 1.0)) if mapping == "equisolid" else np.arctan(0.5 * length))
 
 
 @dataclass(frozen=True)
@@ -24,16 +47,18 @@ class Camera:
     """A picture of `width` by `height` pixels.
 
     - "equirect": the whole sphere, the zenith as its top row, the azimuth growing to the right.
-    - "fisheye": looks up; the angle from the zenith grows linearly with the distance from the middle and is half of
-      `field_of_view` at the nearer edges, beyond which nothing is seen. North is up; east is right as on a map, or left
-      with `mirrored`, as who lies on his back sees it.
+    - "fisheye": looks up; the angle t from the zenith is half of `field_of_view` at the nearer edges, beyond which
+      nothing is seen. The distance from the middle grows with d = t (1 + `k1` t^2 + `k2` t^4), which is t of a perfect
+      lens, as its `mapping` says: d, 2 sin(d / 2), 2 tan(d / 2). North is up; east is right as on a map, or left with
+      `mirrored`, as who lies on his back sees it.
     - "cube": six square faces side by side, in the order and orientation of cube maps (x right, y up, z ahead): right,
       left, up, down, ahead and behind of who looks toward `azimuth`.
     - "perspective": a pinhole that spans `field_of_view` from left to right.
 
     `azimuth`, clockwise from north, of the middle column, or of a cube's face ahead; `elevation` of the middle of a
     perspective picture; `field_of_view`, by default pi of a fisheye and 70 degrees of a pinhole: radians, all of them.
-    **Errors:** `ValueError` for what is out of range.
+    **Errors:** `ValueError` for what is out of range, a lens that folds the sphere among it.
+    **Source:** Kannala & Brandt 2006, IEEE TPAMI 28, 1335, eq. 1-6, for mappings and the polynomial.
 
     **Example:**
 
@@ -48,6 +73,9 @@ class Camera:
     elevation: float = 0.0
     field_of_view: float | None = None
     mirrored: bool = False
+    mapping: Mapping = "equidistant"
+    k1: float = 0.0
+    k2: float = 0.0
 
     def __post_init__(self):
         if self.projection not in get_args(Projection):
@@ -63,6 +91,25 @@ class Camera:
         pinhole = self.projection == "perspective"
         widest = np.radians(170.0) if pinhole else 2.0 * np.pi
         check_range("field_of_view", self.field_of_view, 1e-4, widest, "rad", self.projection)
+        self._check_lens()
+
+    def _check_lens(self):
+        if self.mapping not in get_args(Mapping):
+            raise ValueError(f"`mapping` must be one of {', '.join(get_args(Mapping))}, got {self.mapping!r}")
+        for name in ("k1", "k2"):
+            check_range(name, getattr(self, name), -0.5, 0.5)
+        if self.projection != "fisheye" and (self.mapping != "equidistant" or self.k1 or self.k2):
+            raise ValueError(
+                f'`mapping`, `k1` and `k2` must be left out with "{self.projection}": they are of a fisheye'
+            )
+        angle = np.linspace(0.0, 0.5 * self.across, 1000)
+        distance = _length(self.mapping, self._bent(angle))
+        steep = _slope(self.mapping, self._bent(angle)) * self._bending(angle)
+        if self.projection == "fisheye" and not (np.all(steep > 1e-3) and distance[-1] < _FARTHEST):
+            raise ValueError(
+                f"`field_of_view` must be one that the lens spreads out, got {np.degrees(self.across):g} degrees with "
+                f"{self.mapping}, k1 {self.k1:g} and k2 {self.k2:g}"
+            )
 
     def views(self, first: int = 0, last: int | None = None) -> Float[np.ndarray, "3 row column"]:
         """Unit vectors east, north, up of the pixels of some rows, the top row first; float32."""
@@ -78,9 +125,9 @@ class Camera:
             return np.moveaxis(views / np.linalg.norm(views, axis=-1, keepdims=True), -1, 0).astype(np.float32)
         x, y = column - 0.5 * self.width, 0.5 * self.height - row
         if self.projection == "fisheye":
-            angle = self._per_pixel * np.hypot(x, y)
-            # numpy's sinc has pi in it
-            sine = self._per_pixel * np.sinc(angle / np.pi)
+            length = np.hypot(x, y)
+            angle = self._angle(length)
+            sine = np.sin(angle) / np.where(length > 0.0, length, 1.0)
             return np.stack([sine * x * self._east, sine * y, np.cos(angle)]).astype(np.float32)
         right, up, ahead = self._axes
         views = ahead[:, None, None] * self._focal + right[:, None, None] * x + up[:, None, None] * y
@@ -96,8 +143,14 @@ class Camera:
             return (2.0 / self.height) ** 2 / (1.0 + across**2 + down**2) ** 1.5
         distance = np.hypot(column + 0.5 - 0.5 * self.width, row + 0.5 - 0.5 * self.height)
         if self.projection == "fisheye":
-            size = self._per_pixel**2 * np.abs(np.sinc(self._per_pixel * distance / np.pi))
-            return np.where(self._per_pixel * distance <= 0.5 * self.across, size, 0.0)
+            angle = self._angle(distance)
+            # sin t / r times dt / dr, both 1 over the scale in the middle
+            steep = _slope(self.mapping, self._bent(angle)) * self._bending(angle)
+            across = np.where(
+                distance > 0.0, np.sin(angle) / np.where(distance > 0.0, distance, 1.0), 1.0 / self._scale
+            )
+            seen = (angle <= 0.5 * self.across) & (distance <= 0.5 * min(self.width, self.height))
+            return np.where(seen, np.abs(across) / (self._scale * np.where(seen, steep, 1.0)), 0.0)
         return self._focal / (self._focal**2 + distance**2) ** 1.5
 
     def places(
@@ -113,7 +166,8 @@ class Camera:
             flat = np.hypot(east, north)
             angle = np.arctan2(flat, up)
             seen = angle <= 0.5 * self.across
-            length = angle / self._per_pixel / np.where(flat > 0.0, flat, 1.0)
+            reach = self._scale * _length(self.mapping, self._bent(np.minimum(angle, 0.5 * self.across)))
+            length = reach / np.where(flat > 0.0, flat, 1.0)
             row, column = 0.5 * self.height - length * north, 0.5 * self.width + length * east * self._east
         elif self.projection == "cube":
             along = self._cube @ views
@@ -138,9 +192,27 @@ class Camera:
         return float(usual if self.field_of_view is None else self.field_of_view)
 
     @property
-    def _per_pixel(self) -> float:
-        """Radians from the zenith."""
-        return self.across / min(self.width, self.height)
+    def _scale(self) -> float:
+        """Pixels per unit of `_length`, of a fisheye."""
+        return 0.5 * min(self.width, self.height) / float(_length(self.mapping, self._bent(0.5 * self.across)))
+
+    def _bent(self, angle):
+        """Where a perfect lens would have what lies at an angle from the zenith."""
+        return angle * (1.0 + self.k1 * angle**2 + self.k2 * angle**4)
+
+    def _bending(self, angle):
+        """The slope of `_bent`."""
+        return 1.0 + 3.0 * self.k1 * angle**2 + 5.0 * self.k2 * angle**4
+
+    def _angle(self, length):
+        """From the zenith, of what lies so many pixels from the middle; beyond what is seen, pi at most."""
+        bent = _angle_of(self.mapping, length / self._scale)
+        angle = bent
+        if self.k1 or self.k2:
+            # Newton's method from the perfect lens, kept where the lens is known to spread
+            for _ in range(8):
+                angle = np.clip(angle - (self._bent(angle) - bent) / self._bending(angle), 0.0, 0.5 * self.across)
+        return angle
 
     @property
     def _east(self) -> float:

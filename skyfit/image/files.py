@@ -1,16 +1,28 @@
 """Files of pictures, and the tone curve of ACES, by OpenImageIO."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, Num
+from jaxtyping import Bool, Float, Num
 
+from ..light import SRGB_FROM_XYZ
 from ..measured import atomic
+from .camera import Camera
 
 
 Kind = Literal["float", "half", "uint8"]
+Encoding = Literal["linear", "srgb"]
+# names of files that may be pictures
+SUFFIXES = (".exr", ".hdr", ".pic", ".png", ".tif", ".tiff", ".jpg", ".jpeg")
+# from which a channel of whole numbers counts as full, as a share of white
+_FULL = 0.98
+# as many pixels at the largest value of a channel of real numbers are a limit
+_SAME = 20
+# x and y of red, green, blue and white of sRGB: IEC 61966-2-1:1999
+_SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 # a display's white is 100 cd m^-2 there, and the scene's 1
 _DISPLAY, _VIEW, _LINEAR = "sRGB - Display", "ACES 2.0 - SDR 100 nits (Rec.709)", "Linear Rec.709 (sRGB)"
 _CONFIG = "ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
@@ -42,6 +54,137 @@ def write_picture(
         done = out is not None and out.open(str(part), spec) and out.write_image(np.ascontiguousarray(pixels))
         if out is None or not (out.close() and done):
             raise OSError(oiio.geterror() if out is None else out.geterror())
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """What a file of a picture holds: `rgb`, linear sRGB in a unit of its own, the top row first.
+
+    `known`: where all channels are finite numbers and nothing shines through; `full`: where one is at the largest
+    value that the file, or the camera, can hold; `notes`: what was assumed.
+    """
+
+    rgb: Float[np.ndarray, "row column 3"]
+    known: Bool[np.ndarray, "row column"]
+    full: Bool[np.ndarray, "row column"]
+    notes: tuple[str, ...]
+
+
+def read_picture(path: Path, encoding: Encoding | None = None) -> Pixels:
+    """The red, green and blue of a picture, found by the names of its channels.
+
+    **Arguments:** `encoding` of the numbers; None: sRGB's curve for whole numbers, linear for real ones. Other
+    primaries that an EXR states are converted to those of sRGB.
+    **Errors:** `ValueError` for what is no picture, or has no red, green and blue.
+    """
+    raw, names, whole, primaries, alpha = _read(path)
+    places = _channels(path, names)
+    rgb = np.ascontiguousarray(raw[..., places])
+    notes = []
+    if encoding is None:
+        encoding = "srgb" if whole else "linear"
+        kind = "whole" if whole else "real"
+        curve = "encoded by sRGB's curve" if whole else "linear"
+        notes.append(f"{kind} numbers taken as {curve}, for `encoding` does not say")
+    known = np.all(np.isfinite(rgb), axis=2)
+    if alpha is not None:
+        known &= raw[..., alpha] >= 1.0 - 1e-3
+        notes.append("pixels that are not opaque left out")
+    rgb = np.where(known[..., None], rgb, 0.0)
+    if whole:
+        full = rgb.max(axis=2) >= _FULL
+    else:
+        top = rgb.max(axis=(0, 1))
+        at_top = (rgb >= top) & (top > 0.0)
+        full = np.any(at_top & (at_top.sum(axis=(0, 1)) >= _SAME), axis=2)
+    if encoding == "srgb":
+        rgb = _decoded(rgb)
+    if primaries is not None and not np.allclose(primaries, _SRGB, atol=2e-3):
+        rgb = rgb @ _to_srgb(primaries).astype(np.float32).T
+        notes.append("converted from the primaries that the file states to those of sRGB")
+    return Pixels(rgb.astype(np.float32), known, full, tuple(notes))
+
+
+def read_mask(path: Path) -> Bool[np.ndarray, "row column"]:
+    """Where a picture is white, or is brighter than the half: what is to be used of another one.
+
+    **Errors:** `ValueError` for what is no picture.
+    """
+    raw, names, _, _, alpha = _read(path)
+    colours = [place for place in range(len(names)) if place != alpha]
+    return np.asarray(np.nan_to_num(raw[..., colours]).mean(axis=2) > 0.5)
+
+
+def reduced(
+    pixels: Pixels, allowed: Bool[np.ndarray, "row column"], camera: Camera, widest: int
+) -> tuple[Pixels, Bool[np.ndarray, "row column"], Camera]:
+    """A picture, and what of it is allowed, of so many pixels across at most, by means over areas.
+
+    A pixel is known, or allowed, where all that it is made of is, and full where any of that is.
+    """
+    import OpenImageIO as oiio
+
+    if max(camera.width, camera.height) <= widest:
+        return pixels, allowed, camera
+    share = widest / max(camera.width, camera.height)
+    smaller = replace(camera, width=round(camera.width * share), height=round(camera.height * share))
+    flags = np.stack([pixels.known, pixels.full, allowed], axis=2)
+    stacked = oiio.ImageBuf(np.concatenate([pixels.rgb, flags.astype(np.float32)], axis=2))
+    roi = oiio.ROI(0, smaller.width, 0, smaller.height, 0, 1, 0, 6)
+    made = np.asarray(oiio.ImageBufAlgo.resize(stacked, filtername="box", roi=roi).get_pixels(oiio.FLOAT))
+    known, full, may = made[..., 3] > 1.0 - 1e-3, made[..., 4] > 1e-3, made[..., 5] > 1.0 - 1e-3
+    return Pixels(np.ascontiguousarray(made[..., :3]), known, full, pixels.notes), may, smaller
+
+
+def _read(path: Path):
+    """Numbers `[row, column, channel]`, names, whether they are whole, the primaries and the place of alpha, if any."""
+    import OpenImageIO as oiio
+
+    if not path.is_file():
+        raise ValueError(f"{path}: expected a picture, found no file")
+    picture = oiio.ImageInput.open(str(path))
+    if picture is None:
+        oiio.geterror()
+        raise ValueError(f"{path.name}: expected a picture (.exr, .hdr, .png, .tif), found none that can be read")
+    spec = picture.spec()
+    raw = picture.read_image("float")
+    said = picture.geterror()
+    picture.close()
+    if raw is None or np.size(raw) == 0:
+        raise ValueError(f"{path.name}: the picture cannot be read: {' '.join(said.split())[:200]}")
+    raw = np.asarray(raw).reshape(spec.height, spec.width, spec.nchannels)
+    whole = str(spec.format) not in ("float", "half", "double")
+    alpha = None if spec.alpha_channel < 0 else int(spec.alpha_channel)
+    return raw, list(spec.channelnames), whole, spec.getattribute("chromaticities"), alpha
+
+
+def _channels(path: Path, names: list[str]) -> list[int]:
+    """The places of red, green and blue, of the first layer that has all three."""
+    lower = [name.lower() for name in names]
+    layers = [name.rpartition(".")[0] for name in lower]
+    for layer in dict.fromkeys(layers):
+        dotted = f"{layer}." if layer else ""
+        for three in (("r", "g", "b"), ("red", "green", "blue")):
+            wanted = [dotted + one for one in three]
+            if set(wanted) <= set(lower):
+                return [lower.index(one) for one in wanted]
+    raise ValueError(f"{path.name}: expected channels R, G and B, found {', '.join(names)[:200]}")
+
+
+def _decoded(encoded: Float[np.ndarray, "row column 3"]) -> Float[np.ndarray, "row column 3"]:
+    """Linear values of sRGB's curve."""
+    import OpenImageIO as oiio
+
+    picture = oiio.ImageBuf(np.ascontiguousarray(encoded, np.float32))
+    return np.asarray(oiio.ImageBufAlgo.colorconvert(picture, "sRGB", "linear").get_pixels(oiio.FLOAT))
+
+
+def _to_srgb(primaries: tuple[float, ...]) -> Float[np.ndarray, "3 3"]:
+    """Linear sRGB of the same light as red, green and blue of other primaries."""
+    from colour.models import normalised_primary_matrix
+
+    corners = np.reshape(np.asarray(primaries, float), (4, 2))
+    return SRGB_FROM_XYZ @ normalised_primary_matrix(corners[:3], corners[3])
 
 
 def aces(linear: Float[np.ndarray, "row column 3"]) -> Float[np.ndarray, "row column 3"]:

@@ -19,8 +19,10 @@ from .parameters import (
     LOBES_FREE as LOBES_FREE,
     PARAMETERS as PARAMETERS,
     PARTICLE_FREE as PARTICLE_FREE,
+    PICTURE_FREE as PICTURE_FREE,
     SLOW as SLOW,
     start_model as start_model,
+    SUN_FREE as SUN_FREE,
     values_of as values_of,
     with_values as with_values,
 )

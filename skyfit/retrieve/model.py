@@ -11,19 +11,25 @@ from ..scene import Scene
 
 
 class Instrument(eqx.Module):
-    """How its frame is turned: its views are stated so many radians too far from the zenith and clockwise."""
+    """How its frame is turned: its views are stated so many radians too far from the zenith and clockwise.
+
+    `sun_zenith`: by how much the sun stands farther from the zenith than stated, radians.
+    """
 
     pointing_zenith: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
     pointing_azimuth: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
+    sun_zenith: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
 
     def sees(self, scene: Scene) -> Scene:
-        """The scene with the views where they really were; none leaves the sky, and the sun stands."""
+        """The scene with the views and the sun where they really were; none leaves the sky."""
         zenith, azimuth = scene.view.zenith - self.pointing_zenith, scene.view.azimuth - self.pointing_azimuth
         beyond = zenith < 0.0
         azimuth = jnp.where(beyond, azimuth + np.pi, azimuth)
         zenith = jnp.where(beyond, -zenith, zenith)
         zenith = jnp.where(scene.view.zenith <= 0.5 * np.pi, jnp.minimum(zenith, 0.5 * np.pi), zenith)
-        return eqx.tree_at(lambda s: (s.view.zenith, s.view.azimuth), scene, (zenith, azimuth))
+        sun = jnp.maximum(scene.sun_zenith + self.sun_zenith, 0.0)
+        sun = jnp.where(scene.sun_zenith <= 0.5 * np.pi, jnp.minimum(sun, 0.5 * np.pi), sun)
+        return eqx.tree_at(lambda s: (s.view.zenith, s.view.azimuth, s.sun_zenith), scene, (zenith, azimuth, sun))
 
 
 class SkyModel(eqx.Module):

@@ -195,6 +195,9 @@ _LIST = (
         "pointing_azimuth", "degree", -20.0, 20.0, "instrument.pointing_azimuth", to_leaf=_radians,
         from_leaf=_degrees, usual=_BOTH,
     ),
+    Parameter(
+        "sun_zenith_offset", "degree", -12.0, 12.0, "instrument.sun_zenith", to_leaf=_radians, from_leaf=_degrees,
+    ),
 )  # fmt: skip
 PARAMETERS: dict[str, Parameter] = {p.name: p for p in _LIST}
 """All that can be fitted, by name: unit, bounds (`lower`, `upper`), and the place of each in the model."""
@@ -202,6 +205,8 @@ PARAMETERS: dict[str, Parameter] = {p.name: p for p in _LIST}
 LOBES_FREE = tuple(p.name for p in _LIST if "lobes" in p.usual)
 PARTICLE_FREE = tuple(p.name for p in _LIST if "particles" in p.usual)
 SLOW = tuple(p.name for p in _LIST if p.slow)
+# what the pattern of a picture tells whose level, white and ground are unknown, and where its sun is but guessed
+PICTURE_FREE, SUN_FREE = ("turbidity", "asymmetry"), ("sun_zenith_offset", "pointing_azimuth")
 # where the instrument looked
 POINTING = ("pointing_zenith", "pointing_azimuth")
 

@@ -1,0 +1,52 @@
+"""A picture of the sky beside the sky that was fitted to it, and what is left between them."""
+
+import os
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..light import srgb_from_linear
+from .page import figure_maker, write_figure
+
+
+# times the median luminance: white; the ends of the colours of the residual, per cent
+_WHITE, _END = 4.0, 30.0
+# of red, green, blue in luminance
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+def plot_panorama(
+    picture: Float[np.ndarray, "row column 3"],
+    predicted: Float[np.ndarray, "row column 3"],
+    used: Bool[np.ndarray, "row column"],
+    path: str | os.PathLike,
+) -> None:
+    """The picture, the fitted sky, and by how many per cent of luminance the picture is brighter where it was used.
+
+    **Arguments:** linear sRGB of one unit; `used` pixels, some at least; `path`, `*.png`, `*.pdf` or `*.svg`.
+    """
+    # the rows that hold sky, and some of what is under it
+    last = int(np.flatnonzero(used.any(axis=1))[-1]) + used.shape[0] // 20
+    picture, predicted, used = picture[:last], predicted[:last], used[:last]
+    height, width = used.shape
+    across = 8.0 if width > 1.5 * height else 4.5
+    figure = figure_maker(path)((across, 3.0 * (across * height / width + 0.4) + 0.5))
+    axes = figure.subplots(3, 1)
+    light, made = (colour @ _LUMINANCE for colour in (picture, predicted))
+    white = _WHITE * np.median(light[used])
+    for axis, colours, title in ((axes[0], picture, "picture"), (axes[1], predicted, "fitted sky")):
+        axis.imshow(np.clip(np.asarray(srgb_from_linear(np.maximum(colours, 0.0) / white)), 0.0, 1.0))
+        axis.set_title(title, fontsize=9)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        residual = np.where(used, 100.0 * (light / made - 1.0), np.nan)
+    drawn = axes[2].imshow(residual, cmap="RdBu_r", vmin=-_END, vmax=_END)
+    axes[2].set_facecolor("0.85")
+    typical = np.nanmedian(np.abs(residual))
+    axes[2].set_title(f"picture by fitted sky, per cent (median {typical:.2g}); grey: not used", fontsize=9)
+    bar = figure.add_axes((0.2, 0.045, 0.6, 0.012))
+    figure.colorbar(drawn, cax=bar, orientation="horizontal", extend="both")
+    figure.subplots_adjust(left=0.02, right=0.98, bottom=0.08, top=0.97, hspace=0.12)
+    for axis in axes:
+        axis.set_xticks([])
+        axis.set_yticks([])
+    write_figure(figure, path)
