@@ -73,8 +73,9 @@ def on_files(files, config):
     if not kept:
         shutil.rmtree(MADE, ignore_errors=True)
     MADE.mkdir(parents=True, exist_ok=True)
+    # the last takes longest and begins, so that nothing waits for it
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        list(pool.map(executed, sorted((ROOT / "docs/notebooks").glob("*.py"))))
+        list(pool.map(executed, sorted((ROOT / "docs/notebooks").glob("*.py"), reverse=True)))
     for path in sorted(MADE.rglob("*.*")):
         files.append(File.generated(config, f"notebooks/{path.relative_to(MADE)}", abs_src_path=str(path)))
     for page, path in OUTSIDE.items():
