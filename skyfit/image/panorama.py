@@ -142,9 +142,10 @@ def read_panorama(
     found = read_picture(path, encoding)
     camera = _camera(path, found, projection, lens, field_of_view, azimuth, mirrored)
     allowed = np.ones(found.known.shape, bool) if mask is None else read_mask(Path(mask))
-    if allowed.shape != found.known.shape:
-        wanted, other = (f"{shape[1]} x {shape[0]}" for shape in (found.known.shape, allowed.shape))
-        raise ValueError(f"{Path(mask or '').name}: expected {wanted} pixels as the picture has, found {other}")
+    rows, columns = np.shape(allowed)
+    if (columns, rows) != (camera.width, camera.height):
+        wanted = f"{camera.width} x {camera.height} pixels as the picture has"
+        raise ValueError(f"{Path(mask or '').name}: expected {wanted}, found {columns} x {rows}")
     pixels, allowed, camera = reduced(found, allowed, camera, _WIDEST)
     rgb = pixels.rgb
     views = camera.views()
