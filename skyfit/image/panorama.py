@@ -126,8 +126,8 @@ def read_panorama(
       k2 of its distortion, `field_of_view`, `azimuth` and `mirrored` as `Camera` has them, rad
     - `mask`: a picture of the same size, white where the sky is to be used
     - `encoding`: "linear" or "srgb"; None: by the kind of the file's numbers
-    - `level`: cd m^-2 (or what `response` reads) of the value 1, None: not known; `response` of a calibrated camera's red, green
-      and blue, else those of linear sRGB
+    - `level`: cd m^-2 (or what `response` reads) of the value 1, None: not known; `response` of a calibrated camera's
+      red, green and blue, else those of linear sRGB
     - `sun`: zenith angle and azimuth, rad, as a first guess, near which it is then looked for
     - `time`, UTC, `place`, latitude and longitude in degrees, and `altitude`, m, of the station, if known
     - `count`: patches spread over the dome
@@ -146,10 +146,9 @@ def read_panorama(
     found = read_picture(path, encoding)
     camera = _camera(path, found, projection, lens, field_of_view, azimuth, mirrored)
     allowed = np.ones(found.known.shape, bool) if mask is None else read_mask(Path(mask))
-    rows, columns = np.shape(allowed)
-    if (columns, rows) != (camera.width, camera.height):
-        wanted = f"{camera.width} x {camera.height} pixels as the picture has"
-        raise ValueError(f"{Path(mask or '').name}: expected {wanted}, found {columns} x {rows}")
+    if allowed.shape != found.known.shape:
+        wanted, other = (" x ".join(map(str, flags.shape[::-1])) for flags in (found.known, allowed))
+        raise ValueError(f"{Path(mask or '').name}: expected {wanted} pixels as the picture has, found {other}")
     pixels, allowed, camera = reduced(found, allowed, camera, _WIDEST)
     rgb = pixels.rgb
     views = camera.views()
