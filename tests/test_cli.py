@@ -433,7 +433,7 @@ def test_help_loads_no_more_than_it_says(python, tmp_path):
         roots = {name.split(".")[0] for name in modules}
         assert not roots & {"equinox", "jax", "jaxlib", "jaxtyping", "matplotlib", "numpy", "rich", "scipy"}, command
         own = {name for name in modules if name.split(".")[0] == "skyfit"}
-        assert all(name == "skyfit" or name.startswith("skyfit.cli") for name in own) and len(own) < 15, command
+        assert all(name == "skyfit" or name.startswith("skyfit.cli") for name in own) and len(own) < 16, command
     assert done.stdout.count("Example: skyfit ") == 9
     for words in ("OrdersOfScattering.normal", "polarised", "float64", *skyfit.transport.SOLVERS):
         assert words in done.stdout, words

@@ -236,7 +236,7 @@ def test_the_command_writes_what_is_behind_the_clouds(skyfit_command, tmp_path):
     (time,) = json.loads((tmp_path / "new" / "fit.json").read_text())["times"]
     assert np.degrees(SUN[0]) == pytest.approx(time["sun_zenith_deg"], abs=0.5)
     said = " ".join(done.stdout.split())
-    assert "sun: zenith 5" in said and "the picture is turned by" in said and "haze: aerosol optical depth" in said
+    assert "sun: zenith" in said and "the picture is turned by" in said and "haze: aerosol optical depth" in said
     # it is a picture that can be read again, its sun in the same place
     again = skyfit.read_panorama(tmp_path / "new" / "sky.exr")
     assert apart(again.sun) < 1.0

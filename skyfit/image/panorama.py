@@ -16,7 +16,7 @@ from ..measured.quality.placed_sun import cosine_from_sun
 from ..numerics import check_range
 from ..retrieve import Fit
 from ..retrieve.parameters import PICTURE_FREE, SUN_FREE
-from ..scene import hemisphere, unit_vectors
+from ..scene import Directions, hemisphere, Scene, unit_vectors
 from ..transport import AbstractSolver
 from .camera import Camera, Mapping
 from .files import Encoding, Pixels, read_mask, read_picture, reduced
@@ -39,6 +39,8 @@ _RELATIVE, _FLOOR = 0.02, 0.02
 _ANY_SCALE = 0.9
 # the turbidity whose luminance stands for a level that is not known, and the lowest sun of that formula, rad
 _USUAL, _LOWEST = 3.0, np.radians(89.0)
+# nm, of its daylight
+_LONGEST = 830.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +126,8 @@ def read_panorama(
       k2 of its distortion, `field_of_view`, `azimuth` and `mirrored` as `Camera` has them, rad
     - `mask`: a picture of the same size, white where the sky is to be used
     - `encoding`: "linear" or "srgb"; None: by the kind of the file's numbers
-    - `level`: cd m^-2 of the value 1 in the picture, None: not known; `response` of a calibrated camera's red, green
-      and blue, else those of linear sRGB
+    - `level`: cd m^-2 (or what `response` reads) of the value 1, None: not known; `response` of a calibrated camera's
+      red, green and blue, else those of linear sRGB
     - `sun`: zenith angle and azimuth, rad, as a first guess, near which it is then looked for
     - `time`, UTC, `place`, latitude and longitude in degrees, and `altitude`, m, of the station, if known
     - `count`: patches spread over the dome
@@ -139,11 +141,13 @@ def read_panorama(
     check_range("level", level, 1e-9, 1e9, "cd m-2")
     if response is not None and len(response.weight) != 3:
         raise ValueError(f"`response` must have three channels, red, green and blue, got {len(response.weight)}")
+    unit = "cd m-2" if response is None else "of the response"
+    response = Response.linear_srgb() if response is None else response
     found = read_picture(path, encoding)
     camera = _camera(path, found, projection, lens, field_of_view, azimuth, mirrored)
     allowed: np.ndarray = np.ones(found.known.shape, bool) if mask is None else read_mask(Path(mask))
     if allowed.shape != found.known.shape:
-        wanted, other = (f"{shape[1]} x {shape[0]}" for shape in (found.known.shape, allowed.shape))
+        wanted, other = (" x ".join(map(str, flags.shape[::-1])) for flags in (found.known, allowed))
         raise ValueError(f"{Path(mask or '').name}: expected {wanted} pixels as the picture has, found {other}")
     pixels, allowed, camera = reduced(found, allowed, camera, _WIDEST)
     rgb = pixels.rgb
@@ -186,8 +190,8 @@ def read_panorama(
             f"{path.name}: {patches.open.sum()} patches of open sky are left, {_FEWEST} are needed: {'; '.join(notes)}"
         )
     if level is None:
-        level = _usual_level(patches, where)
-        notes.append(f"level unknown: 1 in the picture is taken as {level:.3g} cd m-2, each channel's scale is fitted")
+        level = _usual_level(patches, where, response)
+        notes.append(f"level unknown: 1 in the picture is taken as {level:.3g} {unit}, each channel's scale is fitted")
         scale_sigma = _ANY_SCALE
     else:
         scale_sigma = float("nan")
@@ -251,13 +255,15 @@ def _patches(rgb, used, above, size, views, count: int) -> _Patches:
     return _Patches(light, np.arctan2(np.hypot(east, north), up), np.arctan2(east, north) % (2.0 * np.pi), seen)
 
 
-def _usual_level(patches, sun: FoundSun) -> float:
-    """cd m^-2 of the value 1, if the patches have the green of a usual sky."""
-    to_sun = unit_vectors(min(sun.zenith, _LOWEST), sun.azimuth)
-    views = unit_vectors(patches.zenith, patches.azimuth)
-    usual = np.asarray(ExtendedPreetham.shipped().rgb(_USUAL, to_sun, views), float)[1]
-    green = patches.rgb[:, 1]
-    lit = patches.open & (np.where(patches.open, green, 0.0) > 0.0) & (usual > 0.0)
+def _usual_level(patches: _Patches, sun: FoundSun, response: Response) -> float:
+    """The reading of the value 1, if the patches have the green of a usual sky."""
+    views = Directions(patches.zenith, patches.azimuth)
+    known = response.wavelength_nm <= _LONGEST
+    nm = response.wavelength_nm[known]
+    scene = Scene(min(sun.zenith, _LOWEST), sun.azimuth, views, nm, np.ones(nm.size))
+    usual = np.asarray(ExtendedPreetham.shipped().radiance(_USUAL, scene), float) @ response.weight[1][known]
+    green = np.where(patches.open, patches.rgb[:, 1], 0.0)
+    lit = (green > 0.0) & (usual > 0.0)
     return float(np.exp(np.median(np.log(usual[lit] / green[lit]))))
 
 
@@ -265,7 +271,6 @@ def _sky(path, patches, level, scale_sigma, sun: FoundSun, response, time, place
     radiance = level * patches.rgb
     usable = np.repeat(patches.open[:, None], 3, axis=1)
     sigma = np.hypot(_RELATIVE * np.abs(radiance), _FLOOR * np.nanmedian(radiance, axis=0))
-    response = Response.linear_srgb() if response is None else response
     return Sky(
         radiance=radiance[None],
         sigma=sigma[None],
