@@ -54,6 +54,17 @@ def test_a_wavelength_has_the_radiance_that_it_has_alone(x64, name, grid):
         assert np.all(np.abs(FEW.radiance(SKIES[name], scene_of(wavelength, sun)) / each - 1.0) < limit)
 
 
+@pytest.mark.filterwarnings("ignore::skyfit.LowSunWarning")
+def test_no_direction_runs_away_in_haze_under_a_low_sun(x64):
+    """Coarse streams swing about no light there: their ratio alone was ten times off in some views."""
+    random, wavelength = np.random.default_rng(3), np.arange(380.0, 781.0, 10.0)
+    view = skyfit.Directions(np.arccos(random.uniform(0.05, 1.0, 200)), random.uniform(0.0, np.pi, 200))
+    haze = HAZE(0.42, phase=skyfit.HenyeyGreenstein(0.82)).replace(ground=skyfit.Ground(0.9))
+    scene = skyfit.Scene.from_degrees(82.3, view, wavelength, irradiance="unit")
+    each = EACH.radiance(haze, scene)
+    np.testing.assert_allclose(FEW.radiance(haze, scene), each, rtol=5e-3)
+
+
 @pytest.mark.slow
 def test_a_ground_given_at_each_wavelength_may_have_edges(x64):
     wavelength = random_grid(380.0, 780.0, 41)

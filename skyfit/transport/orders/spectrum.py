@@ -20,8 +20,9 @@ _LIT = 0.8
 _DENSITY = 12.5
 # over a black ground; over a black and a lit one, where wavelengths are traced, as for 300 to 1100 nm
 _LEAST, _MOST = 4, (16, 8)
-# of the diffuse light's mean radiance: coarse streams may undershoot where there is little light
-_LEAST_SHARE = 1e-3
+# of the diffuse light's mean radiance: coarse streams may undershoot where there is little light, and to which light is
+# drawn where they do; what counts as no miss of an interpolant
+_LEAST_SHARE, _DRAWN, _LEAST_MISSED = 1e-3, 1.0, 1e-6
 # ratio of full to coarse streams; further apart, neither is right
 _FAR = 1e3
 # sr^-1, per unit irradiance; what is darker counts as black. Its square is still a float32
@@ -101,16 +102,25 @@ def interpolated(
         jnp.concatenate([jnp.zeros_like(every), jnp.full_like(every, _LIT)]),
         resolution.coarse(),
     )
-    reference = _positive(coarse, _air_seen(atmosphere, scene))
     sizes = (*wavelength.shape, few.black, few.lit)
-    dark, dark_black, dark_lit, bright, _, bright_lit = cut(reference, *sizes, *sizes)
     over_black, over_lit = cut(jnp.concatenate([solved.light[0], _flux(solved)[None]]), few.black, few.lit)
-    ratio = _log_ratio(over_black, dark_black)
-    # of what the ground adds the ratio is smoother still
-    more = _log_ratio(over_lit, bright_lit) - spread(ratio, lit)
-    everywhere = spread(ratio, wavelength)
-    found_black = jnp.where(_any_light(over_black), dark * _exp(everywhere), 0.0)
-    found_lit = jnp.where(_any_light(over_lit), bright * _exp(everywhere + spread(more, wavelength)), 0.0)
+
+    def by(reference):
+        """All wavelengths over both grounds by one reference, and how far a smaller interpolant is off at the nodes."""
+        dark, dark_black, dark_lit, bright, _, bright_lit = cut(reference, *sizes, *sizes)
+        ratio = _log_ratio(over_black, dark_black)
+        # of what the ground adds the ratio is smoother still
+        more = _log_ratio(over_lit, bright_lit) - spread(ratio, lit)
+        everywhere = spread(ratio, wavelength)
+        found_black = jnp.where(_any_light(over_black), dark * _exp(everywhere), 0.0)
+        found_lit = jnp.where(_any_light(over_lit), bright * _exp(everywhere + spread(more, wavelength)), 0.0)
+        return found_black, found_lit, _missed(ratio) + _missed(more)
+
+    # where coarse streams swing about no light at all, that direction's ratio to the mean light is the smoother one
+    own, mean = (by(light) for light in _positive(coarse, _air_seen(atmosphere, scene)))
+    off, other = (jnp.maximum(found[2], _LEAST_MISSED) ** 2 for found in (own, mean))
+    rest = off / (off + other)
+    found_black, found_lit = (one + rest * (more - one) for one, more in zip(own[:2], mean[:2], strict=True))
 
     spherical_albedo = (1.0 - _share(found_black[-1], found_lit[-1])) / _LIT
     albedo = atmosphere.ground.reflectance(wavelength)
@@ -135,12 +145,24 @@ def _air_seen(atmosphere: Atmosphere, scene: Scene) -> Float[Array, " direction"
 
 
 def _positive(found: Multiple, seen: Float[Array, " direction"] | None):
-    """Radiances and, as the last row, the flux onto the ground, none of them under a share of the diffuse light's."""
-    least = (_LEAST_SHARE / np.pi * found.diffuse)[None]
+    """Radiances and, as the last row, the flux onto the ground, as they are and drawn to the diffuse light's mean.
+
+    None of the first is under a share of that mean, none of the second far under it.
+    """
+    mean = (found.diffuse / np.pi)[None]
     if seen is not None:
-        least = jnp.pad(seen, (0, 1), constant_values=1.0)[:, None] * least
-    least = jnp.maximum(least, _DARK)
-    return jnp.maximum(jnp.concatenate([found.light[0], _flux(found)[None]]), least)
+        mean = jnp.pad(seen, (0, 1), constant_values=1.0)[:, None] * mean
+    light = jnp.concatenate([found.light[0], _flux(found)[None]])
+    drawn = 0.5 * (light + jnp.sqrt(light**2 + (2.0 * _DRAWN * mean) ** 2))
+    return tuple(jnp.maximum(one, _DARK) for one in (jnp.maximum(light, _LEAST_SHARE * mean), drawn))
+
+
+def _missed(ratio: Float[Array, "row node"]) -> Float[Array, "row 1"]:
+    """How far the interpolant without the last quarter of its coefficients is off at the nodes, at most."""
+    count = ratio.shape[-1]
+    at = jnp.asarray(chebyshev_nodes(count), ratio.dtype)
+    kept = ratio @ chebyshev_weights(at, count, count - max(1, count // 4)).T
+    return jnp.max(jnp.abs(ratio - kept), axis=-1, keepdims=True)
 
 
 def _any_light(found):
