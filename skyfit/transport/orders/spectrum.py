@@ -152,6 +152,8 @@ def _positive(found: Multiple, seen: Float[Array, " direction"] | None):
     mean = (found.diffuse / np.pi)[None]
     if seen is not None:
         mean = jnp.pad(seen, (0, 1), constant_values=1.0)[:, None] * mean
+    # a root of nothing has no slope
+    mean = jnp.maximum(mean, _DARK)
     light = jnp.concatenate([found.light[0], _flux(found)[None]])
     drawn = 0.5 * (light + jnp.sqrt(light**2 + (2.0 * _DRAWN * mean) ** 2))
     return tuple(jnp.maximum(one, _DARK) for one in (jnp.maximum(light, _LEAST_SHARE * mean), drawn))
