@@ -51,8 +51,8 @@ class OrdersOfScattering(AbstractSolver):
     `streams` per hemisphere; `modes` in azimuth; `levels` of the vertical grid, dense in haze; `orders`,
     sweeps through it; `nodes` of the single-scattering integral; `spectral_nodes`, wavelengths at which
     multiple scattering is solved over a black ground, and half as many over a lit one, where a spectrum has more;
-    coarse streams complete it (`spectrum.interpolated`). None: as many as keep it within some 1e-3 from 300 to 1100 nm;
-    0: all;
+    coarse streams complete it (`spectrum.interpolated`). None: as many as keep it within some 1e-3 from 300 to 1100 nm,
+    where views are so few that this saves time, else all; 0: all;
     `geometry` "spherical": curved paths for beam and view, and diffuse streams that change their local angle
     from layer to layer, under a sun whose local zenith angle is the observer's for them; or "flat". `polarised`: with
     linear polarisation, in the radiance and for `stokes`: 1.2 times the scalar solver's time, its Jacobian 1.4 times.

@@ -20,6 +20,9 @@ _LIT = 0.8
 _DENSITY = 12.5
 # over a black ground; over a black and a lit one, where wavelengths are traced, as for 300 to 1100 nm
 _LEAST, _MOST = 4, (16, 8)
+# with F nodes of W wavelengths and V views, a quarter of the time is saved where V (W + 2 F) is under this times
+# (W - 1.6 F): coarse streams look at all wavelengths over two grounds, which costs as much a view as full ones do
+_VIEWS = 370.0
 # of the diffuse light's mean radiance: coarse streams may undershoot where there is little light, and to which light is
 # drawn where they do; what counts as no miss of an interpolant
 _LEAST_SHARE, _DRAWN, _LEAST_MISSED = 1e-3, 1.0, 1e-6
@@ -39,8 +42,8 @@ class SpectralNodes(NamedTuple):
 def spectral_nodes(atmosphere: Atmosphere, scene: Scene, asked: int | None) -> SpectralNodes | None:
     """How many wavelengths of a spectrum streams solve; None: each of the scene's.
 
-    Each, where that costs no more, and where a constituent is known at the scene's wavelengths alone or absorbs in
-    bands low in the air, which coarse streams get wrong by per cents.
+    Each, where that costs about as much or less, and where a constituent is known at the scene's wavelengths alone or
+    absorbs in bands low in the air, which coarse streams get wrong by per cents.
 
     **Arguments:** `asked` for over a black ground, 0 for each, None for as many as the range of wavelengths needs.
     """
@@ -53,8 +56,9 @@ def spectral_nodes(atmosphere: Atmosphere, scene: Scene, asked: int | None) -> S
     if known is not None and known.size:
         black = min(max(_LEAST, math.ceil(_DENSITY * math.log(known.max() / known.min()) - 1.0)), _MOST[0])
         most = SpectralNodes(black, black // 2)
-    # coarse streams cost as much again
-    return most if count > 2 * sum(most) else None
+    nodes, views = sum(most), scene.view.zenith.shape[0]
+    saves = views * (count + 2 * nodes) < _VIEWS * (count - 1.6 * nodes)
+    return most if count > 2 * nodes and saves else None
 
 
 def interpolated(
