@@ -60,14 +60,19 @@ def through_sunset(field) -> dict:
     return rows
 
 
+def sides() -> dict[str, np.ndarray]:
+    """View zenith angles from aloft on each side of the horizon, degrees."""
+    horizon = 180.0 - np.degrees(np.arcsin(skyfit.transport.columns.EARTH_RADIUS / (6371e3 + ALOFT)))
+    away = NEAR + np.arange(0.0, FAR, STEP)
+    return {"above": horizon - away, "below": horizon + away}
+
+
 def across_the_horizon(field) -> dict:
     """From aloft, toward the sun and across, on each side."""
     once, rows = skyfit.SingleScattering.normal(), {}
-    horizon = 180.0 - np.degrees(np.arcsin(skyfit.transport.columns.EARTH_RADIUS / (6371e3 + ALOFT)))
-    away = NEAR + np.arange(0.0, FAR, STEP)
     for sun in (60.0, 88.0, 95.0):
         for azimuth in (0.0, 90.0):
-            for side, zenith in (("above", horizon - away), ("below", horizon + away)):
+            for side, zenith in sides().items():
                 view = skyfit.Directions.from_degrees(zenith, np.full(zenith.shape, azimuth))
                 scene = skyfit.Scene.from_degrees(sun, view, NM, irradiance="unit", height=ALOFT)
                 total = np.asarray(field.radiance(scene), float)
@@ -76,11 +81,28 @@ def across_the_horizon(field) -> dict:
     return rows
 
 
+def by_fine() -> dict:
+    """Second differences toward a sun at 95 degrees of `normal` and of `fine`, and how far apart they are, at most."""
+    rows = {}
+    for side, zenith in sides().items():
+        view = skyfit.Directions.from_degrees(zenith, np.zeros(zenith.shape))
+        scene = skyfit.Scene.from_degrees(95.0, view, NM, irradiance="unit", height=ALOFT)
+        found = {}
+        for name in ("normal", "fine"):
+            light = np.asarray(getattr(skyfit.Spherical, name)().radiance(ATMOSPHERE, scene), float)
+            found[name] = np.diff(light, 2, axis=0) / light[1:-1]
+        rows[side] = {name: float(np.abs(second).max()) for name, second in found.items()}
+        rows[side]["apart"] = float(np.abs(found["normal"] - found["fine"]).max())
+    return rows
+
+
 def main():
     field = skyfit.Spherical.normal().prepare(ATMOSPHERE, NM)
     record = {"made_with": made_with(0), "step_deg": STEP, "limit": LIMIT}
     record |= {"through sunset": through_sunset(field), "across the horizon": across_the_horizon(field)}
+    record["sun 95, azimuth 0, by fine too"] = by_fine()
     RESULT.write_text(json.dumps(record, indent=1) + "\n")
+    print(json.dumps(record["sun 95, azimuth 0, by fine too"]))
     for part in ("through sunset", "across the horizon"):
         for name, row in record[part].items():
             figures = [f"{key} {row[key]['largest']:.1e} at {row[key]['at_deg']:.2f} ({row[key]['over_the_limit']})"
