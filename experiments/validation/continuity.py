@@ -4,8 +4,8 @@
 
 Air, haze of 0.2 and ozone, `normal`, one field. Suns from 80 to 108 degrees by a hundredth for some views, and view
 zenith angles by a hundredth on each side of the horizon from 10 km: second differences over the radiance, of all light,
-of sunlight scattered once, whose shadow edges are kinks, and of the rest. Toward a sun at 95 degrees, where light changes
-within hundredths of a degree, `fine` beside `normal`. In the precision of the process. Writes
+of sunlight scattered once, whose shadow edges are kinks, and of the rest. Toward a sun at 95 degrees, where light
+changes within hundredths of a degree, `fine` beside `normal`. In the precision of the process. Writes
 experiments/results/continuity.json.
 """
 
