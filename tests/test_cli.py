@@ -674,7 +674,7 @@ BROKEN = {
             "--out",
             "new",
         ),
-        ["12 usable samples", "18 free"],
+        ["12 usable samples", "19 free"],
     ),
     "out is a file": ((*INVERT[:-1], "fit.json", "--free", "turbidity"), ["--out", "fit.json"]),
     "refit of a file and of options": (
