@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable
+from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -243,7 +244,9 @@ def check_free(free: tuple[str, ...], model: SkyModel, argument: str = "free", p
         raise ValueError(f"`{argument}` must name at least one parameter")
     for name in free:
         if name not in PARAMETERS:
-            raise ValueError(f"`{argument}` must be among {', '.join(PARAMETERS)}; got {name!r}")
+            near = get_close_matches(name, PARAMETERS, 3, 0.6)
+            said = f"; is {' or '.join(near)} meant?" if near else ", which `skyfit invert --help` lists"
+            raise ValueError(f"`{argument}` must name parameters of `skyfit.PARAMETERS`, got {name!r}{said}")
         if not _present(PARAMETERS[name], model, per_wavelength):
             raise ValueError(f"`{argument}` names {name!r}, which this atmosphere does not have")
     if len(set(free)) < len(free):
