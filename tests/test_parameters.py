@@ -79,7 +79,7 @@ def test_the_free_leaves_are_those_that_are_named():
     ("free", "parts"),
     [
         ((), ["`free`", "at least one"]),
-        (("haze",), ["`free`", "'haze'", "turbidity, aerosol_optical_depth"]),
+        (("haze",), ["`free`", "'haze'", "`skyfit.PARAMETERS`"]),
         (("ozone", "asymmetry", "ozone"), ["`free`", "once", "ozone, asymmetry, ozone"]),
         (("turbidity", "aerosol_optical_depth"), ["`free`", "both turbidity and aerosol_optical_depth"]),
         (("asymmetry_second",), ["`free`", "'asymmetry_second'", "does not have"]),

@@ -160,8 +160,8 @@ def test_a_second_scene_compiles_nothing(caplog):
 @pytest.mark.parametrize(
     ("names", "parts"),
     [
-        ("haze", ["'haze'", "turbidity, aerosol_optical_depth"]),
-        (("ozone", "haze"), ["'haze'", "turbidity, aerosol_optical_depth"]),
+        ("haze", ["'haze'", "`skyfit.PARAMETERS`"]),
+        (("ozone", "haze"), ["'haze'", "`skyfit.PARAMETERS`"]),
         ((), ["at least one"]),
         (("ozone", "ozone"), ["once"]),
         (("turbidity", "aerosol_optical_depth"), ["both"]),
