@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..light import observer_weights
 from ..measured import Sky
-from ..measured.quality.placed_sun import cosine_from_sun
+from ..measured.quality.placed_sun import angle_from_sun
 from .perez import LARGEST_EXPONENT, LOWEST_COSINE
 from .perez_fits import CLEAR_SKY
 
@@ -89,10 +89,10 @@ def perez_of_sky(sky: Sky, each: bool = False) -> SkyPerez:
         found.directions[t, k] = count = int(seen.sum())
         if count <= 6:
             continue
-        cosine = np.clip(cosine_from_sun(down[seen], around[seen], *sun), -1.0, 1.0)
+        gamma = angle_from_sun(down[seen], around[seen], *sun)
         secant = 1.0 / np.maximum(np.cos(down[seen]), LOWEST_COSINE)
-        point, settled = _search(light[t, seen, k], secant, np.arccos(cosine))
-        columns, residual = _linearised(point, light[t, seen, k], secant, np.arccos(cosine))
+        point, settled = _search(light[t, seen, k], secant, gamma)
+        columns, residual = _linearised(point, light[t, seen, k], secant, gamma)
         spread = _covariance(columns, residual)
         value, slope = _at_zenith(point, sun[0])
         found.coefficients[t, k], found.covariance[t, k] = point[1:], spread[1:, 1:]
@@ -145,7 +145,7 @@ def _search(light, secant, gamma) -> tuple[Float[np.ndarray, " parameter"], bool
 
     ends = []
     for start in _STARTS:
-        form = _form(np.array([0.0, *start]), secant, gamma)
+        form = 1.0 + _linearised(np.array([0.0, *start]), np.ones_like(light), secant, gamma)[1]
         level = np.log(max(float(np.median(light) / np.median(form)), 1e-30))
         first = logarithmic(np.array([level, *start]))
         ends.append(
@@ -159,23 +159,13 @@ def _search(light, secant, gamma) -> tuple[Float[np.ndarray, " parameter"], bool
     return plain(best.x), bool(best.success and inside)
 
 
-def _parts(point, secant, gamma):
-    _, a, b, c, d, _ = point
-    horizon = np.exp(np.minimum(b * secant, LARGEST_EXPONENT))
-    glow = np.exp(np.minimum(d * gamma, LARGEST_EXPONENT))
-    return horizon, glow, 1.0 + a * horizon, 1.0 + c * glow + point[5] * np.cos(gamma) ** 2
-
-
-def _form(point, secant, gamma):
-    _, _, first, second = _parts(point, secant, gamma)
-    return np.exp(point[0]) * first * second
-
-
 def _linearised(point, light, secant, gamma):
     """The Jacobian of the relative residuals by ln k and A to E, `[direction, 6]`, and the residuals."""
-    _, a, b, c, d, _ = point
-    horizon, glow, first, second = _parts(point, secant, gamma)
-    scale = np.exp(point[0]) / light
+    level, a, b, c, d, e = point
+    horizon = np.exp(np.minimum(b * secant, LARGEST_EXPONENT))
+    glow = np.exp(np.minimum(d * gamma, LARGEST_EXPONENT))
+    first, second = 1.0 + a * horizon, 1.0 + c * glow + e * np.cos(gamma) ** 2
+    scale = np.exp(level) / light
     columns = [first * second, horizon * second, a * secant * horizon * second]
     columns += [first * glow, first * c * gamma * glow, first * np.cos(gamma) ** 2]
     return np.stack(columns, axis=1) * scale[:, None], scale * first * second - 1.0

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..atmosphere import Atmosphere
-from ..measured import read_response, Response, Sky
+from ..measured import mask_sun as without_sun, read_response, Response, Sky
 from ..measured.readers.header import moment_of
 from ..retrieve import (
     check_free,
@@ -102,6 +102,15 @@ def response_of(text: str | None) -> Response | None:
     if text is None:
         return None
     return {"xyz": Response.xyz, "srgb": Response.linear_srgb}.get(text, lambda: read_response(Path(text)))()
+
+
+def samples_of(sky: Sky, times: str | None, mask_sun: float | None) -> Sky:
+    """The sky at the times that are asked for, without what is so near to the sun, degrees."""
+    if times is not None:
+        sky = sky.at_times(times_of(times, sky))
+    if mask_sun is not None:
+        sky = without_sun(sky, np.radians(in_range("--mask-sun", mask_sun, 0.0, 180.0)))
+    return sky
 
 
 def times_of(text: str, sky: Sky) -> np.ndarray:

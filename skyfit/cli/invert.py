@@ -120,11 +120,11 @@ def invert_command(
     import jax
 
     from ..draw import plot
-    from ..measured import mask_sun as without_sun, NoiseModel
+    from ..measured import NoiseModel
     from ..programs import keep_in
     from ..records import save, write_products
     from ..retrieve import aerosol_products, invert
-    from .asked import free_of, priors_of, response_of, shared_of, smooth_of, start_of, times_of, values_of_fix
+    from .asked import free_of, priors_of, response_of, samples_of, shared_of, smooth_of, start_of, values_of_fix
     from .fit_report import print_fit
     from .models import atmosphere_of, make_solver
     from .printing import console, progress
@@ -149,10 +149,7 @@ def invert_command(
         )  # fmt: skip
         measured, channels = panorama.sky, None
         free = ",".join(name for name in panorama.free if name not in known) if free is None else free
-    if times is not None:
-        measured = measured.at_times(times_of(times, measured))
-    if mask_sun is not None:
-        measured = without_sun(measured, radians(in_range("--mask-sun", mask_sun, 0.0, 180.0)))
+    measured = samples_of(measured, times, mask_sun)
     names = free_of(free, measured, known)
     # what is usual is said to be so
     asked = None if free is None and not known else names

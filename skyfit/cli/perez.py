@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from .asked_of_files import Altitude, Latitude, Longitude, MaskSun, read_asked, ResponseOption, Times, UtcOffset
-from .options import app, check_file, in_range
+from .options import app, check_file
 
 
 @app.command("perez", epilog="Example: skyfit perez scan.csv --out perez.csv")
@@ -26,22 +26,15 @@ def perez_command(
 
     As skyfit.perez_of_sky does in Python: of luminance where the sky tells it, else of each wavelength.
     """
-    from math import radians
-
     from ..analytic import perez_of_sky
-    from ..measured import mask_sun as without_sun
     from ..records import write_perez
-    from .asked import response_of, times_of
+    from .asked import response_of, samples_of
     from .perez_report import print_perez
     from .printing import console
 
     check_file(out)
     measured = read_asked(sky, latitude, longitude, utc_offset, altitude, None, response_of(response))
-    if times is not None:
-        measured = measured.at_times(times_of(times, measured))
-    if mask_sun is not None:
-        measured = without_sun(measured, radians(in_range("--mask-sun", mask_sun, 0.0, 180.0)))
-    found = perez_of_sky(measured, each)
+    found = perez_of_sky(samples_of(measured, times, mask_sun), each)
     write_perez(found, out)
     print_perez(found)
     console.print(f"written: {out}", highlight=False, soft_wrap=True)

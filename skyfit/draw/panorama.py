@@ -5,14 +5,12 @@ import os
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..light import srgb_from_linear
+from ..light import srgb_from_linear, SRGB_LUMINANCE
 from .page import figure_maker, write_figure
 
 
 # times the median luminance: white; the ends of the colours of the residual, per cent
 _WHITE, _END = 4.0, 30.0
-# of red, green, blue in luminance
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def plot_panorama(
@@ -32,7 +30,7 @@ def plot_panorama(
     across = 8.0 if width > 1.5 * height else 4.5
     figure = figure_maker(path)((across, 3.0 * (across * height / width + 0.4) + 0.5))
     axes = figure.subplots(3, 1)
-    light, made = (colour @ _LUMINANCE for colour in (picture, predicted))
+    light, made = (colour @ SRGB_LUMINANCE for colour in (picture, predicted))
     white = _WHITE * np.median(light[used])
     for axis, colours, title in ((axes[0], picture, "picture"), (axes[1], predicted, "fitted sky")):
         axis.imshow(np.clip(np.asarray(srgb_from_linear(np.maximum(colours, 0.0) / white)), 0.0, 1.0))

@@ -15,8 +15,6 @@ from .camera import Camera
 
 Kind = Literal["float", "half", "uint8"]
 Encoding = Literal["linear", "srgb"]
-# names of files that may be pictures
-SUFFIXES = (".exr", ".hdr", ".pic", ".png", ".tif", ".tiff", ".jpg", ".jpeg")
 # from which a channel of whole numbers counts as full, as a share of white
 _FULL = 0.98
 # as many pixels at the largest value of a channel of real numbers are a limit

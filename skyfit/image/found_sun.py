@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..measured.quality.placed_sun import cosine_from_sun
+from ..measured.quality.placed_sun import angle_from_sun, cosine_from_sun
 
 
 How = Literal["disc", "patch", "aureole", "pattern"]
@@ -186,7 +186,7 @@ def _by_aureole(sky: Sight, place, rim: float):
                 return None
             place = _moved(place, move)
         else:
-            sigma = max(float(np.arccos(np.clip(cosine_from_sun(*before, *place), -1.0, 1.0))), _FINEST)
+            sigma = max(float(angle_from_sun(*before, *place)), _FINEST)
             continue
         return None if look == _LOOKS[0] + rim else (*place, sigma)
     return *place, sigma

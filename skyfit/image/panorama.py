@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from ..analytic import ExtendedPreetham
 from ..atmosphere import from_description
 from ..atmosphere.description import describe
+from ..light import SRGB_LUMINANCE
 from ..measured import Response, Sky
 from ..measured.quality.placed_sun import cosine_from_sun
 from ..numerics import check_range
@@ -157,7 +158,7 @@ def read_panorama(
     above = (size > 0.0) & (views[2] > np.sin(_HORIZON))
     if not above.any():
         raise ValueError(f"{path.name}: no pixel looks above the horizon")
-    luminance = rgb @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    luminance = rgb @ SRGB_LUMINANCE.astype(np.float32)
     reasons = {
         "masked": ~allowed, "not finite or not opaque": ~pixels.known, "saturated": pixels.full,
         "black or negative": ~(luminance > 0.0),

@@ -6,6 +6,7 @@ from .colour import (
     srgb_from_linear as srgb_from_linear,
     SRGB_FROM_XYZ as SRGB_FROM_XYZ,
     srgb_from_xyz as srgb_from_xyz,
+    SRGB_LUMINANCE as SRGB_LUMINANCE,
     WHITE as WHITE,
     xyY as xyY,
     xyY_from_xyz as xyY_from_xyz,

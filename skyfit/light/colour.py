@@ -11,6 +11,8 @@ from jaxtyping import Array, ArrayLike, Float, Real
 LUMINOUS_EFFICACY = 683.0  # lm W^-1
 
 # IEC 61966-2-1:1999, linear sRGB from XYZ with Y = 1 for white
+# of linear red, green and blue of sRGB in luminance: IEC 61966-2-1:1999
+SRGB_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 SRGB_FROM_XYZ = np.array(
     [
         [3.2406, -1.5372, -0.4986],

@@ -22,7 +22,7 @@ _EDGE = {"flat": np.radians(88.0), "spherical": 0.5 * np.pi}
 # how much the nodes crowd the horizon, and the points of a scatterer's mean sunlight
 _CROWDING, _HEIGHTS = 1.3, 8
 # directions that are served at once: their weights take 1.1 kB each, twice. More are served from a table of the
-# interpolant, of so many zenith angles and azimuths: cubics between them are within 1e-5 of it
+# interpolant, of so many zenith angles and azimuths: cubics between them are within 2e-5 of it
 _CHUNK, _FINE = 32768, (257, 129)
 # W m^-2 sr^-1 nm^-1; what is darker counts as black
 _DARK = 1e-30

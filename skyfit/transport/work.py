@@ -20,8 +20,8 @@ EXPONENTIALS, BATCHED_FLOPS, LARGE_FLOPS = 0.56e9, (12e9, 21e9), 45e9
 # measured over counted seconds of `fine` and of `SingleScattering.normal`, polarised over scalar, and what a call costs
 # (`Uniform`'s), s: medians of experiments/results/speed_vs_error.csv in float32, 343 directions and 41 wavelengths
 _OVER, _POLARISED, _CALL = {"single": 0.9, "double": 1.16, "orders": 1.8}, 1.31, 3e-4
-# one observer: 0.54 s with the sun at 60 degrees, 0.98 s at 90, of 41 wavelengths; experiments/results/spherical.json
-_SPHERICAL_WAVELENGTH = 0.024
+# one observer: 0.38 s with the sun at 60 degrees, 0.62 s at 90, of 8 wavelengths; experiments/results/spherical.json
+_SPHERICAL_WAVELENGTH = 0.078
 
 
 class Work(NamedTuple):

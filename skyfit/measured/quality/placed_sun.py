@@ -48,7 +48,7 @@ def misplaced_sun(sky: Sky, used: Bool[np.ndarray, "time direction wavelength"],
     suns = np.stack([axis.ravel() for axis in np.meshgrid(*grid, indexing="ij")])
     scores = _correlation(rest(_lobe(zenith[None], azimuth[None], suns[0][:, None], suns[1][:, None])), rest(bright))
     best = float(suns[0][np.argmax(scores)]), float(suns[1][np.argmax(scores)])
-    apart = np.degrees(np.arccos(np.clip(cosine_from_sun(*best, *sun), -1.0, 1.0)))
+    apart = np.degrees(angle_from_sun(*best, *sun))
     causes = {
         "azimuths counted counter-clockwise": _lobe(zenith, -azimuth, *sun),
         "azimuths counted from south": _lobe(zenith, azimuth + np.pi, *sun),
@@ -128,6 +128,11 @@ def cosine_from_sun(zenith, azimuth, sun_zenith, sun_azimuth):
     """
     aside = np.sin(zenith) * np.sin(sun_zenith) * np.cos(azimuth - sun_azimuth)
     return np.cos(zenith) * np.cos(sun_zenith) + aside
+
+
+def angle_from_sun(zenith, azimuth, sun_zenith, sun_azimuth):
+    """The angle from the sun, rad. **Arguments:** as `cosine_from_sun`."""
+    return np.arccos(np.clip(cosine_from_sun(zenith, azimuth, sun_zenith, sun_azimuth), -1.0, 1.0))
 
 
 def _lobe(zenith, azimuth, sun_zenith, sun_azimuth):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..quality.placed_sun import cosine_from_sun
+from ..quality.placed_sun import angle_from_sun
 from ..samples import Sky
 from ..units import radiance_factor
 from .aeronet_table import COLUMNS, moment_in, only, Table, table_of
@@ -180,7 +180,7 @@ def _misfit(table: Table, sweeps: list[Sweep], degrees, stated: dict[float, int]
         for i, place in columns:
             told = table.number(row, cells, place)
             zenith, around = np.radians([sweep.zenith[i], sweep.azimuth[i]])
-            cosine = cosine_from_sun(zenith, around, np.radians(sweep.sun_zenith), 0.0)
+            away = np.degrees(angle_from_sun(zenith, around, np.radians(sweep.sun_zenith), 0.0))
             if np.isfinite(told):
-                worst = max(worst, abs(float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))) - told))
+                worst = max(worst, abs(float(away) - told))
     return worst

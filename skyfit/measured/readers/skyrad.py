@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ...light import extraterrestrial_irradiance
 from ...light.solar import SPECTRUM_NM
 from ..possible import STATION_RANGES
-from ..quality.placed_sun import cosine_from_sun
+from ..quality.placed_sun import angle_from_sun
 from ..samples import Sky
 from .scans import ALMUCANTAR, FILTER_FWHM_NM, PRINCIPAL_PLANE, series_of, Sweep
 from .screening import screened
@@ -213,8 +213,7 @@ def _whole(records: Records, number: float, most: int) -> int:
 
 
 def _degrees_from_sun(zenith, azimuth, sun_zenith):
-    cosine = cosine_from_sun(np.radians(zenith), np.radians(azimuth), np.radians(sun_zenith), 0.0)
-    return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return np.degrees(angle_from_sun(np.radians(zenith), np.radians(azimuth), np.radians(sun_zenith), 0.0))
 
 
 def _moment(name: str, row: int, date: list[float], clock: float) -> np.datetime64:

@@ -129,8 +129,7 @@ class SphericalField(eqx.Module):
     def _by_order(self, scene: Scene):
         medium = medium_of(self.atmosphere, self.wavelength_nm, self.resolution.moments)
         views = views_of(scene, "spherical")
-        dark = eqx.tree_at(lambda f: f.solution, self, replace_fn=lambda s: jax.tree.map(jnp.zeros_like, s))
-        once = self._once(scene, medium, views) + _ground(dark, medium, scene, views)
+        once = self._once(scene, medium, views) + _ground(self, medium, scene, views, diffuse=0.0)
         orders = orders_of(self.atmosphere, self.wavelength_nm, self.sun_place, self.resolution)
 
         def following(order):
@@ -258,9 +257,9 @@ def _multiple(
 
 
 def _ground(
-    field: SphericalField, medium: Medium, scene: Scene, views: Views, beam: float = 1.0
+    field: SphericalField, medium: Medium, scene: Scene, views: Views, beam: float = 1.0, diffuse: float = 1.0
 ) -> Float[Array, "direction wavelength"]:
-    """Light of the ground at the end of the views that meet it, lit by the field and by so much of the sun's beam."""
+    """Light of the ground at the end of the views that meet it, lit by so much of the sun's beam and of the field."""
     if not views.aloft:
         return jnp.zeros((views.cosine.shape[0], *field.wavelength_nm.shape), views.cosine.dtype)
     ends = end_points(views, "spherical")
@@ -268,7 +267,7 @@ def _ground(
     depth = eye_columns(profiles, views, ends, "spherical")[..., 0].T @ medium.extinction
     cosine = ends.sun_cosine[:, 0]
     lit = beam * sun_on_ground(field.atmosphere, medium.extinction, cosine)
-    lit = lit + field._suns(jnp.arctan2(safe_sqrt(1.0 - cosine**2), cosine)) @ field.solution.ground
+    lit = lit + diffuse * (field._suns(jnp.arctan2(safe_sqrt(1.0 - cosine**2), cosine)) @ field.solution.ground)
     # a view that meets the ground falls all the way to it
     meets = (ends.view_cosine[:, 0] < 0.0) & (ends.height[:, 0] < 1.0)
     return jnp.where(meets[:, None], (medium.albedo / np.pi)[None] * lit * jnp.exp(-depth), 0.0)
