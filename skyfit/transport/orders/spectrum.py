@@ -166,6 +166,9 @@ def _positive(found: Multiple, seen: Float[Array, " direction"] | None):
 def _missed(ratio: Float[Array, "row node"]) -> Float[Array, "row 1"]:
     """How far the interpolant without the last quarter of its coefficients is off at the nodes, at most."""
     count = ratio.shape[-1]
+    if count == 1:
+        # of one node nothing smaller is known
+        return jnp.zeros_like(ratio)
     at = jnp.asarray(chebyshev_nodes(count), ratio.dtype)
     kept = ratio @ chebyshev_weights(at, count, count - max(1, count // 4)).T
     return jnp.max(jnp.abs(ratio - kept), axis=-1, keepdims=True)
