@@ -24,7 +24,7 @@ from .contract import (
     Suns,
 )
 from .optics import optics, scatterer_indices, transmitted_sun
-from .orders.layering import Resolution
+from .orders.layering import Resolution, scaled_optics
 from .orders.solver import streamed_light
 from .orders.spectrum import spectral_nodes, SpectralNodes
 from .orders.streams import diffuse_field
@@ -107,7 +107,9 @@ class DoubleScattering(AbstractSolver):
         diffuse = jnp.zeros_like(direct)
         if scatterer_indices(constituents):
             black = jnp.zeros_like(scene.wavelength_nm)
-            _, field = diffuse_field(atmosphere, scene, scene.wavelength_nm, black, self._resolution(2))
+            resolution = self._resolution(2)
+            scaled = scaled_optics(constituents, scene.wavelength_nm, resolution)
+            _, field = diffuse_field(constituents, scene, scaled, black, resolution)
             # where little comes through thick layers, their slopes may undershoot
             diffuse = irradiance * jnp.maximum(field.ground_flux, 0.0)
         return Irradiances(direct, diffuse, atmosphere.ground.reflectance(scene.wavelength_nm) * (direct + diffuse))

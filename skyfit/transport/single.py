@@ -27,43 +27,42 @@ from .contract import (
     Suns,
 )
 from .dome import fluxes_by_quadrature
-from .optics import optics, scatterer_indices, transmitted_sun
+from .optics import Optics, optics, scatterer_indices, transmitted_sun
 from .views import end_points, eye_columns, lit_points, Views, views_of
 
 
 def single_scattering(
     constituents: tuple[AbstractConstituent, ...],
     scene: Scene,
-    extinction: Float[Array, "constituent wavelength"],
+    depth: Optics,
     nodes: int,
     geometry: Geometry,
     stokes: bool = False,
 ) -> Float[Array, "stokes direction wavelength"]:
     """Light of the sun that is scattered once, per unit solar irradiance, sr^-1.
 
-    **Arguments:** `extinction`, optical depths that attenuate (a delta-M solver passes its scaled ones; what
-    scatters is unscaled); `nodes`, points per view; `stokes`: I, Q and U instead of the radiance alone.
+    **Arguments:** `depth`, what attenuates (a delta-M solver passes its scaled extinction) and what scatters
+    (unscaled); `nodes`, points per view; `stokes`: I, Q and U instead of the radiance alone.
     """
-    return single_scattering_of(constituents, scene, extinction, nodes, geometry, views_of(scene, geometry), stokes)
+    return single_scattering_of(constituents, scene, depth, nodes, geometry, views_of(scene, geometry), stokes)
 
 
 def single_scattering_of(
     constituents: tuple[AbstractConstituent, ...],
     scene: Scene,
-    extinction: Float[Array, "constituent wavelength"],
+    depth: Optics,
     nodes: int,
     geometry: Geometry,
     views: Views,
     stokes: bool = False,
 ) -> Float[Array, "stokes direction wavelength"]:
     """`single_scattering` along views of the scene that may end before the air does."""
-    integral = lit_integrals(constituents, views, extinction, nodes, geometry)
-    scattering = optics(constituents, scene.wavelength_nm).scattering
+    integral = lit_integrals(constituents, views, depth.extinction, nodes, geometry)
     total, polarised = jnp.zeros_like(integral[:, 0]), jnp.zeros_like(integral[:, 0])
     for row, i in enumerate(scatterer_indices(constituents)):
         phase = constituents[i].phase
         assert phase is not None
-        light = phase.at_haversine(views.half_angle, scene.wavelength_nm) * scattering[i][None] * integral[:, row]
+        light = phase.at_haversine(views.half_angle, scene.wavelength_nm) * depth.scattering[i][None] * integral[:, row]
         total = total + light
         if stokes:
             polarised = polarised + phase.matrix(views.half_angle, scene.wavelength_nm)[0] * light
@@ -222,16 +221,16 @@ class SingleScattering(AbstractSolver):
         **Arguments:** `distance`, >= 0, infinite for the sky. **Valid:** a view that meets the ground ends there.
         """
         constituents = atmosphere.constituents
-        extinction = optics(constituents, scene.wavelength_nm).extinction
+        optical = optics(constituents, scene.wavelength_nm)
         views = views_of(scene, self.geometry, distance)
         ends = end_points(views, self.geometry)
-        depth = jnp.zeros((distance.shape[0], scene.wavelength_nm.shape[0]), extinction.dtype)
+        depth = jnp.zeros((distance.shape[0], scene.wavelength_nm.shape[0]), optical.extinction.dtype)
         if constituents:
             columns = eye_columns([c.profile for c in constituents], views, ends, self.geometry)
-            depth = columns[..., 0].T @ extinction
+            depth = columns[..., 0].T @ optical.extinction
         inscatter = jnp.zeros_like(depth)
         if scatterer_indices(constituents):
-            (once,) = single_scattering_of(constituents, scene, extinction, self.nodes, self.geometry, views)
+            (once,) = single_scattering_of(constituents, scene, optical, self.nodes, self.geometry, views)
             inscatter = once * scene.solar_irradiance[None]
         return Path(jnp.exp(-depth), inscatter)
 
@@ -254,6 +253,7 @@ def _light(solver: SingleScattering, atmosphere: Atmosphere, scene: Scene, stoke
     constituents = atmosphere.constituents
     if not scatterer_indices(constituents):
         return jnp.zeros((3 if stokes else 1, scene.view.zenith.shape[0], scene.wavelength_nm.shape[0]))
-    extinction = optics(constituents, scene.wavelength_nm).extinction
-    once = single_scattering(constituents, scene, extinction, solver.nodes, solver.geometry, stokes)
+    once = single_scattering(
+        constituents, scene, optics(constituents, scene.wavelength_nm), solver.nodes, solver.geometry, stokes
+    )
     return once * scene.solar_irradiance[None, None]

@@ -5,12 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...atmosphere import Atmosphere
+from ...atmosphere import AbstractConstituent
 from ...numerics import legendre_series, of_angle, phi_functions, safe_sqrt
 from ...scene import above_horizon, haversine, Scene
 from ..columns import slant_columns
-from ..optics import Optics, optics
-from .layering import peaked, Resolution
+from ..contract import Geometry
+from ..optics import Optics
+from .layering import peaked, Scaled
 
 
 # moments of the squared phase functions: those of asymmetry 0.95 have fallen to a thousandth
@@ -18,7 +19,7 @@ _SQUARED = 64
 
 
 def aureole_excess(
-    atmosphere: Atmosphere, scene: Scene, resolution: Resolution
+    constituents: tuple[AbstractConstituent, ...], scene: Scene, scaled: Scaled, geometry: Geometry
 ) -> Float[Array, "direction wavelength"]:
     r"""Light of the second order in the forward peak that is counted too much, per unit solar irradiance, sr^-1.
 
@@ -31,8 +32,7 @@ def aureole_excess(
     **Valid:** within ten degrees of the sun, where it is up to some per cent of the light; it dies away beyond.
     **Source:** Nakajima & Tanaka 1988, JQSRT 40, 51, eq. 63 to 66.
     """
-    constituents, wavelength = atmosphere.constituents, scene.wavelength_nm
-    depth, (count, _) = optics(constituents, wavelength), resolution.for_phases(constituents)
+    wavelength, depth, count = scene.wavelength_nm, scaled.unscaled, scaled.moments.shape[0]
     profiles, mixed, level = [c.profile for c in constituents], depth, jnp.zeros_like(scene.sun_zenith)
     if scene.height is not None:
         level = scene.height
@@ -57,13 +57,13 @@ def aureole_excess(
     series = jnp.where(carried, peak**2 - 2.0 * peak * moments, -(moments**2)) * weight
     forward = of_angle(legendre_series(1, _SQUARED)[:, 0], angle).T @ series + 8.0 * np.pi * peak * value
     cosine = jnp.concatenate([jnp.cos(scene.sun_zenith)[None], jnp.maximum(jnp.cos(scene.view.zenith), 0.0)])
-    slant = slant_columns(profiles, level + jnp.zeros_like(cosine), cosine, resolution.geometry).T @ depth.extinction
+    slant = slant_columns(profiles, level + jnp.zeros_like(cosine), cosine, geometry).T @ depth.extinction
     sun, view = slant[:1] * (1.0 - peak), slant[1:]
     between = jnp.abs(view - sun)
     first, second = phi_functions(between)
     reached = jnp.exp(-jnp.minimum(view, sun)) * jnp.where(view > sun, second, first - second)
     excess = told * 0.25 / np.pi / (1.0 - peak) * forward * view * sun * reached
     lit = above_horizon(scene.view.zenith)
-    if resolution.geometry == "flat":
+    if geometry == "flat":
         lit = lit & (scene.sun_zenith < 0.5 * np.pi)
     return jnp.where(lit[:, None], excess, 0.0)

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...atmosphere import AbstractConstituent, AbstractPhase, Atmosphere
+from ...atmosphere import AbstractConstituent, AbstractPhase
 from ...scene import Scene
 from ..columns import slant_columns, sunlit, TOP_OF_AIR
 from ..contract import Geometry
-from ..optics import optics, scatterer_indices
+from ..optics import Optics, optics, scatterer_indices
 
 
 _HEIGHT_TABLE = 512
@@ -79,13 +79,16 @@ class Few(NamedTuple):
 class Scaled(NamedTuple):
     """Optics as the streams see them; moments of scatterers with the factor 2 l + 1.
 
-    `matrix`: alpha, gamma, zeta, None where polarisation is left out.
+    `matrix`: alpha, gamma, zeta, None where polarisation is left out; `modes`, how many these phase functions need;
+    `unscaled`, all that is attenuated and scattered.
     """
 
     extinction: Float[Array, "constituent wavelength"]
     scattering: Float[Array, "scatterer wavelength"]
     moments: Float[Array, "moment scatterer wavelength"]
     matrix: Float[Array, "element moment scatterer wavelength"] | None
+    modes: int
+    unscaled: Optics
 
 
 class Layers(NamedTuple):
@@ -110,7 +113,7 @@ def scaled_optics(
 
     With `resolution.complete`, delta-M: the forward peak beyond the last moment counts as unscattered (Wiscombe 1977).
     """
-    depth, (count, _) = optics(constituents, wavelength_nm), resolution.for_phases(constituents)
+    depth, (count, modes) = optics(constituents, wavelength_nm), resolution.for_phases(constituents)
     extinction, scattering, moments, matrices = [], [], [], []
     degree = jnp.asarray(2.0 * np.arange(count) + 1.0, wavelength_nm.dtype)
 
@@ -130,7 +133,7 @@ def scaled_optics(
             matrices.append(matrix / (1.0 - peak[None, None]))
     weighted = jnp.stack(moments, axis=1) * degree[:, None, None]
     matrix = jnp.stack(matrices, axis=2) * degree[None, :, None, None] if resolution.polarised else None
-    return Scaled(jnp.stack(extinction), jnp.stack(scattering), weighted, matrix)
+    return Scaled(jnp.stack(extinction), jnp.stack(scattering), weighted, matrix, modes, depth)
 
 
 def level_heights(constituents: tuple[AbstractConstituent, ...], levels: int) -> Float[Array, " level"]:
@@ -167,15 +170,13 @@ def depth_above(
 
 
 def layered(
-    atmosphere: Atmosphere,
+    constituents: tuple[AbstractConstituent, ...],
     scene: Scene,
-    wavelength_nm: Float[Array, " wavelength"],
+    scaled: Scaled,
     ground_albedo: Float[Array, " wavelength"],
     resolution: Resolution,
 ) -> Layers:
     """The atmosphere cut into layers for one sun, over a ground of its own."""
-    constituents, geometry = atmosphere.constituents, resolution.geometry
-    scaled = scaled_optics(constituents, wavelength_nm, resolution)
     height = level_heights(constituents, resolution.levels)
     # what little lies above the top level belongs to the first layer
     above = jnp.stack([c.profile.column_above(height[1:]) for c in constituents])
@@ -185,10 +186,10 @@ def layered(
     fraction = scattered / jnp.where(depth > 0.0, depth, 1.0)[None]
     sun_cosine = jnp.cos(scene.sun_zenith)
     cosine = sun_cosine + jnp.zeros_like(height)
-    slant = slant_columns([c.profile for c in constituents], height, cosine, geometry)
+    slant = slant_columns([c.profile for c in constituents], height, cosine, resolution.geometry)
     slant = jnp.where((np.arange(height.shape[0]) == 0)[None] & (sun_cosine >= 0.0), 0.0, slant)
     sun_depth = slant.T @ scaled.extinction
-    lit = sunlit(height, cosine, geometry)
+    lit = sunlit(height, cosine, resolution.geometry)
     return Layers(
         height,
         depth,

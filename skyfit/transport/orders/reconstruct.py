@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...atmosphere import Atmosphere
+from ...atmosphere import AbstractConstituent, Atmosphere
 from ...numerics import legendre_series, of_angle, phi_functions
 from ...scene import above_horizon, Scene
 from ..columns import layer_airmass, MIN_COSINE
 from ..optics import optics, transmitted_sun
 from ..views import end_points, eye_columns, views_of
-from .layering import depth_above, Resolution, scaled_optics
+from .layering import depth_above, Resolution, Scaled
 from .polarisation import sources_of_stokes
 from .streams import degree_index, diffuse_field
 from .sweep import sloped
@@ -31,21 +31,21 @@ class Multiple(NamedTuple):
 
 
 def multiple_scattering(
-    atmosphere: Atmosphere,
+    constituents: tuple[AbstractConstituent, ...],
     scene: Scene,
-    wavelength_nm: Float[Array, " wavelength"],
+    scaled: Scaled,
     ground_albedo: Float[Array, " wavelength"],
     resolution: Resolution,
     stokes: bool = False,
 ) -> Multiple:
     """What an observer gets of second and higher orders of scattering and of the ground.
 
-    **Arguments:** `scene`, whose observer stands anywhere in flat geometry, else on the ground; `ground_albedo` at the
-    wavelengths. **Returns:** a `Multiple`: the radiance alone, or with `stokes`
-    (of a polarised resolution) I, Q and U.
+    **Arguments:** `scene`, whose observer stands anywhere in flat geometry, else on the ground; `scaled`, the optics at
+    some wavelengths, which need not be the scene's; `ground_albedo` at them.
+    **Returns:** a `Multiple`: the radiance alone, or with `stokes` (of a polarised resolution) I, Q and U.
     """
-    layers, field = diffuse_field(atmosphere, scene, wavelength_nm, ground_albedo, resolution, stokes)
-    count, modes = resolution.for_phases(atmosphere.constituents)
+    layers, field = diffuse_field(constituents, scene, scaled, ground_albedo, resolution, stokes)
+    count, modes = layers.moments.shape[0], scaled.modes
     view = scene.view
     degree = degree_index(count, modes)
     moments = layers.moments[degree] * field.moments
@@ -72,8 +72,7 @@ def multiple_scattering(
         light = jnp.stack([_seen(source, layers.depth, airmass) for source in sources])
         light = jnp.where(above_horizon(view.zenith)[None, :, None], light, 0.0)
         return Multiple(light, field.ground_flux, beam)
-    extinction = scaled_optics(atmosphere.constituents, wavelength_nm, resolution).extinction
-    share = depth_above(atmosphere.constituents, layers, scene.height, extinction)
+    share = depth_above(constituents, layers, scene.height, scaled.extinction)
     # where little comes through thick layers, their slopes may undershoot
     reflected = layers.ground_albedo * jnp.maximum(field.ground_flux + beam, 0.0) / np.pi
     light = _seen_aloft(jnp.stack(sources), layers.depth, share, reflected, view.zenith)

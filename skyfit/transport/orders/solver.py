@@ -183,7 +183,9 @@ class OrdersOfScattering(AbstractSolver):
         reflectance = atmosphere.ground.reflectance(scene.wavelength_nm)
         diffuse, top = jnp.zeros_like(direct), None
         if scatterer_indices(constituents):
-            layers, field = diffuse_field(atmosphere, scene, scene.wavelength_nm, reflectance, self._resolution())
+            resolution = self._resolution()
+            scaled = scaled_optics(constituents, scene.wavelength_nm, resolution)
+            layers, field = diffuse_field(constituents, scene, scaled, reflectance, resolution)
             # where little comes through thick layers, their slopes may undershoot
             diffuse = jnp.maximum(field.ground_flux + sun * layers.beam[-1] - direct, 0.0)
             top = field.top_flux * scene.solar_irradiance
@@ -215,15 +217,17 @@ def streamed_light(
         if scene.height is None:
             return dark
         return dark.at[0].set(bare_ground(atmosphere, scene) * scene.solar_irradiance[None])
-    extinction = scaled_optics(constituents, wavelength, resolution).extinction
-    single = single_scattering(constituents, scene, extinction, nodes, resolution.geometry, stokes)
+    scaled = scaled_optics(constituents, wavelength, resolution)
+    dimmed = scaled.unscaled._replace(extinction=scaled.extinction)
+    single = single_scattering(constituents, scene, dimmed, nodes, resolution.geometry, stokes)
     if resolution.complete and peaked(constituents):
         # a correction of the size of what it corrects is none
-        excess = jnp.clip(aureole_excess(atmosphere, scene, resolution), -0.5 * single[0], 0.5 * single[0])
+        excess = aureole_excess(constituents, scene, scaled, resolution.geometry)
+        excess = jnp.clip(excess, -0.5 * single[0], 0.5 * single[0])
         single = jnp.concatenate([single[:1] - excess[None], single[1:]])
     if few is None:
         ground = atmosphere.ground.reflectance(wavelength)
-        multiple = multiple_scattering(atmosphere, scene, wavelength, ground, resolution, stokes).light
+        multiple = multiple_scattering(constituents, scene, scaled, ground, resolution, stokes).light
     else:
         multiple = interpolated(atmosphere, scene, resolution, few, stokes)
     return (single + multiple) * scene.solar_irradiance[None, None]

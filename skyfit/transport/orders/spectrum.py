@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from ...atmosphere import Atmosphere
 from ...numerics import chebyshev_nodes, chebyshev_weights, concrete
 from ...scene import above_horizon, Scene
-from .layering import Resolution
+from .layering import Resolution, scaled_optics
 from .reconstruct import Multiple, multiple_scattering
 
 
@@ -90,21 +90,22 @@ def interpolated(
         return jnp.split(values, ends, axis=-1)
 
     black, lit = nodes(few.black), nodes(few.lit)
+    constituents, few_streams = atmosphere.constituents, resolution.coarse()
     solved = multiple_scattering(
-        atmosphere,
+        constituents,
         scene,
-        jnp.concatenate([black, lit]),
+        scaled_optics(constituents, jnp.concatenate([black, lit]), resolution),
         jnp.concatenate([jnp.zeros_like(black), jnp.full_like(lit, _LIT)]),
         resolution,
         stokes,
     )
     every = jnp.concatenate([wavelength, black, lit])
     coarse = multiple_scattering(
-        atmosphere,
+        constituents,
         scene,
-        jnp.concatenate([every, every]),
+        scaled_optics(constituents, jnp.concatenate([every, every]), few_streams),
         jnp.concatenate([jnp.zeros_like(every), jnp.full_like(every, _LIT)]),
-        resolution.coarse(),
+        few_streams,
     )
     sizes = (*wavelength.shape, few.black, few.lit)
     over_black, over_lit = cut(jnp.concatenate([solved.light[0], _flux(solved)[None]]), few.black, few.lit)

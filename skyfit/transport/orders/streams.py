@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...atmosphere import Atmosphere
+from ...atmosphere import AbstractConstituent
 from ...numerics import gauss_legendre, legendre_series, of_angle
 from ...scene import Scene
 from .diffusion import diffusion, first_of, Spread
-from .layering import layered, Layers, Resolution
+from .layering import layered, Layers, Resolution, Scaled
 from .polarisation import polarise, Polarised
 from .sweep import sweeps_through
 
@@ -141,22 +141,21 @@ def relaxation(layers: Layers, resolution: Resolution, modes: int) -> Float[Arra
 
 
 def diffuse_field(
-    atmosphere: Atmosphere,
+    constituents: tuple[AbstractConstituent, ...],
     scene: Scene,
-    wavelength_nm: Float[Array, " wavelength"],
+    scaled: Scaled,
     ground_albedo: Float[Array, " wavelength"],
     resolution: Resolution,
     stokes: bool = False,
 ) -> tuple[Layers, Field]:
     """The layers and the light in them, over a ground of this albedo."""
-    layers = layered(atmosphere, scene, wavelength_nm, ground_albedo, resolution)
-    _, modes = resolution.for_phases(atmosphere.constituents)
+    layers = layered(constituents, scene, scaled, ground_albedo, resolution)
     diffuse = None
     if resolution.complete:
         diffuse = diffusion(layers.depth, layers.moments[0], layers.moments[1] / 3.0, layers.ground_albedo)
-    field = solve(layers, diffuse, resolution, modes)
+    field = solve(layers, diffuse, resolution, scaled.modes)
     if not resolution.polarised:
         return layers, field
-    polar = polarise(layers, field.moments, diffuse, resolution, modes, stokes)
+    polar = polarise(layers, field.moments, diffuse, resolution, scaled.modes, stokes)
     ground, top = field.ground_flux + polar.ground_flux, field.top_flux + polar.top_flux
     return layers, Field(field.moments, ground, top, polar)

@@ -165,12 +165,12 @@ class SphericalField(eqx.Module):
         light = jnp.zeros((views.cosine.shape[0], *self.wavelength_nm.shape), views.cosine.dtype)
         if not scatterer_indices(constituents):
             return light
+        depth = optics(constituents, self.wavelength_nm)._replace(extinction=medium.extinction)
         parts = [(views.entry, views.length)] if lit is None else lit
         for begin, end in parts:
             begin = jnp.clip(begin, views.entry, views.length)
             part = views._replace(entry=begin, length=jnp.clip(end, begin, views.length))
-            nodes = self.resolution.once_nodes
-            light += single_scattering_of(constituents, scene, medium.extinction, nodes, "spherical", part)[0]
+            light += single_scattering_of(constituents, scene, depth, self.resolution.once_nodes, "spherical", part)[0]
         return light
 
     @eqx.filter_jit
