@@ -227,6 +227,22 @@ def test_without_ozone_there_is_no_ozone_in_the_program():
 # --- gases
 
 
+@pytest.mark.parametrize("polarised", [False, True])
+def test_the_optics_of_a_sky_are_worked_out_once(polarised):
+    asked = []
+
+    class Counted(Aerosol):
+        def optical_depth_at(self, wavelength_nm):
+            asked.append(wavelength_nm.shape)
+            return super().optical_depth_at(wavelength_nm)
+
+    atmosphere = Atmosphere(air=Rayleigh(), haze=Counted(0.2))
+    solver = OrdersOfScattering.draft(polarised=polarised)
+    sky = jax.eval_shape(lambda a: solver.radiance(a, unit_scene(0.5, views([20.0], [10.0]), COLOURS)), atmosphere)
+    assert sky.shape == (1, 3)
+    assert asked == [(3,)]
+
+
 def test_a_gas_is_its_table_times_its_column():
     found = no2(0.5).optical_depth_at(jnp.array([400.0, 420.0, 700.0, 900.0]))
     per_dobson = np.array([6e-19, 5.5e-19, 0.0, 0.0]) * 2.6868e16
