@@ -1,0 +1,277 @@
+"""Scenes over everything that a scene can be: is anything not finite, negative, or another in float32?
+
+    python -m experiments.validation.hard_cases --work FOLDER [--scenes 20000] [--gradients 1000] [--spheres 200]
+
+Whole it is `--scenes 100000 --gradients 5000 --spheres 1000`. Scenes are a Sobol sequence over sun, observer, views,
+wavelengths, air, haze, ozone and ground (`RANGES`, `scenes`): of each number one in fourteen lies at one end of its
+range, the first view looks into the sun, the second a ten-thousandth of a radian past it, the third along the horizon.
+The programs of `PROGRAMS` take the scenes in turn, in batches, in float32 and in float64, each in a process of its own;
+FOLDER keeps what was answered: a run that was cut off goes on there. Gradients are backward, by every number of the
+atmosphere and of the scene.
+
+Writes experiments/results/hard_cases.json: by program what is not finite, what is negative, and how far float32 is from
+float64 of the same numbers, a share of the radiance and of the brightest view.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import qmc
+
+import skyfit
+from experiments.benchmarks.tiers import HERE, made_with
+from skyfit.transport import AbstractSolver
+
+
+RESULT = HERE / "results" / "hard_cases.json"
+VIEWS, COLOURS = 8, 3
+# low and high ends; those of `LOGARITHMIC` are drawn evenly in the logarithm, and their low end is none at all
+RANGES = {
+    "sun_zenith_deg": (0.0, 108.0), "optical_depth": (1e-5, 50.0), "asymmetry": (-0.95, 0.999), "albedo": (0.0, 1.0),
+    "albedo_slope": (-0.5, 0.5), "exponent": (-1.0, 4.0), "scale_height": (50.0, 2e4), "ozone": (0.0, 1000.0),
+    "pressure": (2e3, 1.2e5), "ground": (0.0, 1.0), "ground_slope": (-0.5, 0.5), "red_edge": (0.0, 0.5),
+    "height": (1.0, 1e6),
+}  # fmt: skip
+LOGARITHMIC = ("optical_depth", "height")
+SHORTEST, LONGEST = 300.0, 1100.0
+# of a number, the share of scenes in which it lies at one end
+AT_AN_END = 0.035
+# relative: what float32 may be off
+NEAR = 1e-3
+# by program; a batch is one call of a program that is compiled once
+BATCH, SPHERES = 64, 8
+# jaxlib 0.10.2 and 0.11.0 end in a segmentation fault where YNNPACK sums over arrays of seven axes, as gradients of a
+# batch of skies in float32 do: github.com/jax-ml/jax/issues/39257 and 40412
+FLAGS = "--xla_cpu_use_fusion_emitters=false --xla_cpu_experimental_ynn_fusion_type=-reduce"
+
+
+class Program(NamedTuple):
+    """A solver, where its observer stands, and whether it is one of the few that solve a whole sphere."""
+
+    solver: AbstractSolver
+    aloft: bool = False
+    sphere: bool = False
+
+
+PROGRAMS = {
+    "orders flat": Program(skyfit.OrdersOfScattering.draft("flat")),
+    "orders flat polarised": Program(skyfit.OrdersOfScattering.draft("flat", polarised=True)),
+    "orders spherical": Program(skyfit.OrdersOfScattering.draft("spherical")),
+    "orders spherical polarised": Program(skyfit.OrdersOfScattering.draft("spherical", polarised=True)),
+    "orders flat aloft": Program(skyfit.OrdersOfScattering.draft("flat"), aloft=True),
+    "orders flat aloft polarised": Program(skyfit.OrdersOfScattering.draft("flat", polarised=True), aloft=True),
+    "single flat aloft": Program(skyfit.SingleScattering.draft("flat"), aloft=True),
+    "single spherical aloft": Program(skyfit.SingleScattering.draft("spherical"), aloft=True),
+    "sphere": Program(skyfit.Spherical.draft(), sphere=True),
+    "sphere aloft": Program(skyfit.Spherical.draft(), aloft=True, sphere=True),
+}
+
+
+class Scenes(NamedTuple):
+    """Parameters in the order of `RANGES`, `[scene, parameter]`; zenith and azimuth of views, rad; wavelengths, nm."""
+
+    values: np.ndarray
+    zenith: np.ndarray
+    azimuth: np.ndarray
+    wavelength: np.ndarray
+
+
+def scenes(count: int, seed: int) -> Scenes:
+    """The scenes of a seed, in numbers that float32 holds; more of them begin with the same."""
+    numbers = len(RANGES)
+    drawn = qmc.Sobol(numbers + 2 * VIEWS + COLOURS, seed=seed).random_base2((count - 1).bit_length())[:count]
+    low, high = np.array(list(RANGES.values())).T
+    share = np.clip((drawn - AT_AN_END) / (1.0 - 2.0 * AT_AN_END), 0.0, 1.0)
+    values = low + share[:, :numbers] * (high - low)
+    for i, name in enumerate(RANGES):
+        if name in LOGARITHMIC:
+            values[:, i] = np.where(share[:, i] > 0.0, low[i] * (high[i] / low[i]) ** share[:, i], 0.0)
+    zenith = np.arccos(1.0 - 2.0 * share[:, numbers : numbers + VIEWS])
+    azimuth = 2.0 * np.pi * share[:, numbers + VIEWS : numbers + 2 * VIEWS]
+    sun = np.radians(values[:, 0])
+    zenith[:, 0], zenith[:, 1], zenith[:, 2] = sun, np.abs(sun - 1e-4), 0.5 * np.pi
+    azimuth[:, :2] = 0.0
+    colour = SHORTEST * (LONGEST / SHORTEST) ** ((np.arange(COLOURS) + share[:, -COLOURS:]) / COLOURS)
+    # float32 of pi is above it
+    zenith = np.minimum(zenith.astype(np.float32), np.float32(3.1415925))
+    return Scenes(*(np.asarray(part, np.float32) for part in (values, zenith, azimuth, colour)))
+
+
+def sky(values, zenith, azimuth, wavelength, aloft: bool) -> tuple[skyfit.Atmosphere, skyfit.Scene]:
+    """The atmosphere and the scene of one row; values may be traced."""
+    sun, depth, asymmetry, albedo, slope, exponent, thick, ozone, pressure, ground, ground_slope, edge, height = values
+    haze = skyfit.Aerosol(depth, exponent, albedo, slope, skyfit.HenyeyGreenstein(asymmetry), skyfit.Exponential(thick))
+    below = skyfit.Ground(ground, ground_slope, edge)
+    air = skyfit.Atmosphere(skyfit.Rayleigh(pressure), haze, skyfit.Ozone(ozone), below)
+    view = skyfit.Directions(zenith, azimuth)
+    return air, skyfit.Scene(jnp.radians(sun), 0.0, view, wavelength, jnp.ones(COLOURS), height if aloft else None)
+
+
+def light_of(program: Program):
+    """Radiances of a batch of rows."""
+
+    def light(*row):
+        return program.solver.radiance(*sky(*row, program.aloft))
+
+    return jax.jit(jax.vmap(light), compiler_options={"xla_backend_optimization_level": 1})
+
+
+def slopes_of(program: Program):
+    """Of a batch of rows, whether each leaf of atmosphere and scene has a finite gradient, `[scene, leaf]`."""
+
+    def finite(*row):
+        slopes = jax.grad(lambda pair: program.solver.radiance(*pair).sum())(sky(*row, program.aloft))
+        return jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(slopes)])
+
+    # compilation is most of the time
+    return jax.jit(jax.vmap(finite), compiler_options={"xla_backend_optimization_level": 0})
+
+
+def places(name: str, dtype: str, count: int, batch: int, folder: Path) -> list[tuple[Path, slice]]:
+    """The file of each batch of a program's scenes, and which of them it holds."""
+    stem = f"{name.replace(' ', '_')}-{dtype}"
+    parts = [slice(first, min(first + batch, count)) for first in range(0, count, batch)]
+    return [(folder / f"{stem}-{part.start:06d}-{part.stop:06d}.npy", part) for part in parts]
+
+
+def answered(name: str, run, drawn: Scenes, rows: np.ndarray, batch: int, folder: Path) -> None:
+    """Each batch that is not there yet is computed and kept."""
+    start, made, dtype = time.perf_counter(), 0, str(jnp.result_type(float))
+    for path, part in places(name, dtype, len(rows), batch, folder):
+        if not path.exists():
+            # the last batch begins anew, so that one program serves all
+            some = np.resize(rows[part], batch)
+            found = np.asarray(run(*(jnp.asarray(each[some], float) for each in drawn)))[: part.stop - part.start]
+            begun = path.with_suffix(".part.npy")
+            np.save(begun, found)
+            begun.rename(path)
+            made += len(found)
+    print(f"{dtype} {name}: {made} scenes, {time.perf_counter() - start:.0f} s", flush=True)
+
+
+def kept(name: str, dtype: str, count: int, batch: int, folder: Path) -> np.ndarray:
+    return np.concatenate([np.load(path) for path, _ in places(name, dtype, count, batch, folder)])
+
+
+def shared_out(options: argparse.Namespace) -> list[tuple[str, Program, np.ndarray, np.ndarray, int]]:
+    """The scenes of each program, and those of which it makes gradients."""
+    spheres = [name for name, program in PROGRAMS.items() if program.sphere]
+    others = [name for name in PROGRAMS if name not in spheres]
+    found = []
+    for names, count, batch in ((others, options.scenes, BATCH), (spheres, options.spheres, SPHERES)):
+        slopes = options.gradients if names is others else options.spheres // 4
+        for place, name in enumerate(names):
+            rows = np.arange(place, count, len(names))
+            found.append((name, PROGRAMS[name], rows, rows[: -(-slopes // len(names))], batch))
+    return found
+
+
+def worker(options: argparse.Namespace) -> None:
+    """All programs in the dtype of this process."""
+    jax.config.update("jax_enable_x64", options.dtype == "float64")
+    drawn = scenes(max(options.scenes, options.spheres), options.seed)
+    for name, program, rows, _, batch in shared_out(options):
+        answered(name, light_of(program), drawn, rows, batch, options.work)
+    for name, program, _, few, batch in shared_out(options):
+        answered(f"{name} slopes", slopes_of(program), drawn, few, batch // 4, options.work)
+
+
+def names_of_leaves(program: Program) -> list[str]:
+    drawn = scenes(2, 0)
+    pair = sky(*(jnp.asarray(part[0], float) for part in drawn), program.aloft)
+    return [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(pair)]
+
+
+def told(drawn: Scenes, row: int, program: Program) -> dict:
+    """What a scene is, to be made again."""
+    return {
+        "scene": int(row),
+        **{name: float(v) for name, v in zip(RANGES, drawn.values[row], strict=True) if program.aloft or name != "height"},
+        "view_zenith": drawn.zenith[row].tolist(), "view_azimuth": drawn.azimuth[row].tolist(),
+        "wavelength_nm": drawn.wavelength[row].tolist(),
+    }  # fmt: skip
+
+
+def judged(name: str, program: Program, drawn: Scenes, rows, few, batch: int, folder: Path) -> dict:
+    """What is wrong with the answers of a program."""
+    light = {dtype: kept(name, dtype, len(rows), batch, folder) for dtype in ("float32", "float64")}
+    found: dict = {"scenes": len(rows), "scenes with gradients": len(few)}
+    for dtype, values in light.items():
+        broken, negative = ~np.isfinite(values), values < 0.0
+        finite = kept(f"{name} slopes", dtype, len(few), batch // 4, folder)
+        leaves = np.array(names_of_leaves(program))
+        found[dtype] = {
+            "not finite": int(broken.any(axis=(1, 2)).sum()),
+            "negative": int(negative.any(axis=(1, 2)).sum()),
+            "most negative, share of the brightest view": _worst(values),
+            "gradients not finite": int((~finite).any(axis=1).sum()),
+        }
+        for what, bad, where in (
+            ("not finite", broken.any(axis=(1, 2)), rows), ("negative", negative.any(axis=(1, 2)), rows),
+            ("gradients not finite", (~finite).any(axis=1), few),
+        ):  # fmt: skip
+            if bad.any():
+                found[dtype][f"first {what}"] = told(drawn, where[int(np.argmax(bad))], program)
+        if not finite.all():
+            found[dtype]["leaves"] = leaves[(~finite).any(axis=0)].tolist()
+    low, high = light["float32"].astype(float), light["float64"]
+    off = np.abs(low - high)
+    bright = np.abs(high).max(axis=1, keepdims=True)
+    share, level = off / np.maximum(np.abs(high), 1e-30), off / np.maximum(bright, 1e-30)
+    far = (share > NEAR).any(axis=(1, 2))
+    found["float32 farther than 1e-3"] = int(far.sum())
+    found["of them farther than 1e-3 of the brightest view"] = int((level > NEAR).any(axis=(1, 2)).sum())
+    found["largest difference"] = float(share.max(initial=0.0))
+    found["largest difference, share of the brightest view"] = float(level.max(initial=0.0))
+    found["median of the largest difference"] = float(np.median(share.max(axis=(1, 2))))
+    if far.any():
+        found["farthest"] = told(drawn, rows[int(np.argmax(share.max(axis=(1, 2))))], program)
+    return found
+
+
+def _worst(values: np.ndarray) -> float:
+    bright = np.nanmax(np.abs(values), axis=1, keepdims=True)
+    return float(np.nanmin(np.where(bright > 0.0, values / np.where(bright > 0.0, bright, 1.0), 0.0), initial=0.0))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--work", type=Path, required=True, help="folder that keeps what was answered")
+    parser.add_argument("--scenes", type=int, default=20000)
+    parser.add_argument("--gradients", type=int, default=1000)
+    parser.add_argument("--spheres", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=68)
+    parser.add_argument("--dtype", choices=("float32", "float64"), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    options.work.mkdir(parents=True, exist_ok=True)
+    if options.dtype is not None:
+        worker(options)
+        return
+    again = [sys.executable, "-m", "experiments.validation.hard_cases", *sys.argv[1:], "--dtype"]
+    for dtype in ("float32", "float64"):
+        subprocess.run([*again, dtype], check=True, env=os.environ | {"XLA_FLAGS": FLAGS})
+    jax.config.update("jax_enable_x64", True)
+    drawn = scenes(max(options.scenes, options.spheres), options.seed)
+    record = {
+        "made with": made_with(options.seed),
+        "asked for": {"scenes": options.scenes, "gradients": options.gradients, "spheres": options.spheres},
+        "programs": {
+            name: judged(name, program, drawn, rows, few, batch, options.work)
+            for name, program, rows, few, batch in shared_out(options)
+        },
+    }
+    RESULT.write_text(json.dumps(record, indent=1) + "\n")
+    print(json.dumps(record, indent=1))
+
+
+if __name__ == "__main__":
+    main()
