@@ -1,13 +1,14 @@
 """Scenes over everything that a scene can be: is anything not finite, negative, or another in float32?
 
-    python -m experiments.validation.hard_cases --work FOLDER [--scenes 20000] [--gradients 1000] [--spheres 200]
+    python -m experiments.validation.hard_cases --work FOLDER [--scenes 20000] [--gradients 1000] [--spheres 60]
+        [--sphere-gradients 16]
 
-Whole it is `--scenes 100000 --gradients 5000 --spheres 1000`. Scenes are a Sobol sequence over sun, observer, views,
-wavelengths, air, haze, ozone and ground (`RANGES`, `scenes`): of each number one in fourteen lies at one end of its
-range, the first view looks into the sun, the second a ten-thousandth of a radian past it, the third along the horizon.
-The programs of `PROGRAMS` take the scenes in turn, in batches, in float32 and in float64, each in a process of its own;
-FOLDER keeps what was answered: a run that was cut off goes on there. Gradients are backward, by every number of the
-atmosphere and of the scene.
+Whole it is `--scenes 100000 --gradients 5000 --spheres 1000 --sphere-gradients 250`. Scenes are Sobol sequences over
+sun, observer, views, wavelengths, air, haze, ozone and ground (`RANGES`, `scenes`), one for each program: of each
+number one in fourteen lies at one end of its range, the first view looks into the sun, the second a ten-thousandth of
+a radian past it, the third along the horizon. `PROGRAMS` answer them in batches, in float32 and in float64, each in a
+process of its own; FOLDER keeps what was answered: a run that was cut off goes on there. Gradients are backward, by
+every number of the atmosphere and of the scene, in float32, which has the narrower range.
 
 Writes experiments/results/hard_cases.json: by program what is not finite, what is negative, and how far float32 is from
 float64 of the same numbers, a share of the radiance and of the brightest view.
@@ -47,6 +48,8 @@ SHORTEST, LONGEST = 300.0, 1100.0
 AT_AN_END = 0.035
 # relative: what float32 may be off
 NEAR = 1e-3
+# optical depth of haze beyond which little light is left
+THICK = 5.0
 # by program; a batch is one call of a program that is compiled once
 BATCH, SPHERES = 64, 8
 # jaxlib 0.10.2 and 0.11.0 end in a segmentation fault where YNNPACK sums over arrays of seven axes, as gradients of a
@@ -143,13 +146,13 @@ def places(name: str, dtype: str, count: int, batch: int, folder: Path) -> list[
     return [(folder / f"{stem}-{part.start:06d}-{part.stop:06d}.npy", part) for part in parts]
 
 
-def answered(name: str, run, drawn: Scenes, rows: np.ndarray, batch: int, folder: Path) -> None:
+def answered(name: str, run, drawn: Scenes, count: int, batch: int, folder: Path) -> None:
     """Each batch that is not there yet is computed and kept."""
     start, made, dtype = time.perf_counter(), 0, str(jnp.result_type(float))
-    for path, part in places(name, dtype, len(rows), batch, folder):
+    for path, part in places(name, dtype, count, batch, folder):
         if not path.exists():
             # the last batch begins anew, so that one program serves all
-            some = np.resize(rows[part], batch)
+            some = np.resize(np.arange(part.start, part.stop), batch)
             found = np.asarray(run(*(jnp.asarray(each[some], float) for each in drawn)))[: part.stop - part.start]
             begun = path.with_suffix(".part.npy")
             np.save(begun, found)
@@ -162,27 +165,38 @@ def kept(name: str, dtype: str, count: int, batch: int, folder: Path) -> np.ndar
     return np.concatenate([np.load(path) for path, _ in places(name, dtype, count, batch, folder)])
 
 
-def shared_out(options: argparse.Namespace) -> list[tuple[str, Program, np.ndarray, np.ndarray, int]]:
-    """The scenes of each program, and those of which it makes gradients."""
-    spheres = [name for name, program in PROGRAMS.items() if program.sphere]
-    others = [name for name in PROGRAMS if name not in spheres]
+class Share(NamedTuple):
+    """A program, its scenes, of how many of them it makes gradients, and how many are one batch."""
+
+    name: str
+    program: Program
+    drawn: Scenes
+    slopes: int
+    batch: int
+
+
+def shared_out(options: argparse.Namespace) -> list[Share]:
+    """What each program has to do."""
     found = []
-    for names, count, batch in ((others, options.scenes, BATCH), (spheres, options.spheres, SPHERES)):
-        slopes = options.gradients if names is others else options.spheres // 4
-        for place, name in enumerate(names):
-            rows = np.arange(place, count, len(names))
-            found.append((name, PROGRAMS[name], rows, rows[: -(-slopes // len(names))], batch))
+    for sphere in (False, True):
+        names = [name for name, program in PROGRAMS.items() if program.sphere == sphere]
+        count, slopes = options.scenes, options.gradients
+        if sphere:
+            count, slopes = options.spheres, options.sphere_gradients
+        for name in names:
+            drawn = scenes(-(-count // len(names)), options.seed + list(PROGRAMS).index(name))
+            found.append(Share(name, PROGRAMS[name], drawn, -(-slopes // len(names)), SPHERES if sphere else BATCH))
     return found
 
 
 def worker(options: argparse.Namespace) -> None:
-    """All programs in the dtype of this process."""
-    jax.config.update("jax_enable_x64", options.dtype == "float64")
-    drawn = scenes(max(options.scenes, options.spheres), options.seed)
-    for name, program, rows, _, batch in shared_out(options):
-        answered(name, light_of(program), drawn, rows, batch, options.work)
-    for name, program, _, few, batch in shared_out(options):
-        answered(f"{name} slopes", slopes_of(program), drawn, few, batch // 4, options.work)
+    """What one process has to do: all radiances in one dtype, or all gradients."""
+    jax.config.update("jax_enable_x64", options.part == "float64")
+    for name, program, drawn, few, batch in shared_out(options):
+        if options.part == "slopes":
+            answered(f"{name} slopes", slopes_of(program), drawn, few, batch // 4, options.work)
+        else:
+            answered(name, light_of(program), drawn, len(drawn.values), batch, options.work)
 
 
 def names_of_leaves(program: Program) -> list[str]:
@@ -193,54 +207,62 @@ def names_of_leaves(program: Program) -> list[str]:
 
 def told(drawn: Scenes, row: int, program: Program) -> dict:
     """What a scene is, to be made again."""
-    return {
-        "scene": int(row),
-        **{name: float(v) for name, v in zip(RANGES, drawn.values[row], strict=True) if program.aloft or name != "height"},
+    numbers = dict(zip(RANGES, drawn.values[row].tolist(), strict=True))
+    if not program.aloft:
+        del numbers["height"]
+    return {"scene": int(row)} | numbers | {
         "view_zenith": drawn.zenith[row].tolist(), "view_azimuth": drawn.azimuth[row].tolist(),
         "wavelength_nm": drawn.wavelength[row].tolist(),
     }  # fmt: skip
 
 
-def judged(name: str, program: Program, drawn: Scenes, rows, few, batch: int, folder: Path) -> dict:
+def judged(share: Share, folder: Path) -> dict:
     """What is wrong with the answers of a program."""
-    light = {dtype: kept(name, dtype, len(rows), batch, folder) for dtype in ("float32", "float64")}
-    found: dict = {"scenes": len(rows), "scenes with gradients": len(few)}
+    name, program, drawn, few, batch = share
+    count, leaves = len(drawn.values), np.array(names_of_leaves(program))
+    light = {dtype: kept(name, dtype, count, batch, folder) for dtype in ("float32", "float64")}
+    found: dict = {"scenes": count, "scenes with gradients": few}
     for dtype, values in light.items():
-        broken, negative = ~np.isfinite(values), values < 0.0
-        finite = kept(f"{name} slopes", dtype, len(few), batch // 4, folder)
-        leaves = np.array(names_of_leaves(program))
-        found[dtype] = {
-            "not finite": int(broken.any(axis=(1, 2)).sum()),
-            "negative": int(negative.any(axis=(1, 2)).sum()),
-            "most negative, share of the brightest view": _worst(values),
-            "gradients not finite": int((~finite).any(axis=1).sum()),
-        }
-        for what, bad, where in (
-            ("not finite", broken.any(axis=(1, 2)), rows), ("negative", negative.any(axis=(1, 2)), rows),
-            ("gradients not finite", (~finite).any(axis=1), few),
-        ):  # fmt: skip
-            if bad.any():
-                found[dtype][f"first {what}"] = told(drawn, where[int(np.argmax(bad))], program)
-        if not finite.all():
-            found[dtype]["leaves"] = leaves[(~finite).any(axis=0)].tolist()
-    low, high = light["float32"].astype(float), light["float64"]
-    off = np.abs(low - high)
-    bright = np.abs(high).max(axis=1, keepdims=True)
-    share, level = off / np.maximum(np.abs(high), 1e-30), off / np.maximum(bright, 1e-30)
-    far = (share > NEAR).any(axis=(1, 2))
-    found["float32 farther than 1e-3"] = int(far.sum())
-    found["of them farther than 1e-3 of the brightest view"] = int((level > NEAR).any(axis=(1, 2)).sum())
-    found["largest difference"] = float(share.max(initial=0.0))
-    found["largest difference, share of the brightest view"] = float(level.max(initial=0.0))
-    found["median of the largest difference"] = float(np.median(share.max(axis=(1, 2))))
+        bad = {"not finite": (~np.isfinite(values)).any(axis=(1, 2)), "negative": (values < 0.0).any(axis=(1, 2))}
+        if dtype == "float32" and few:
+            finite = kept(f"{name} slopes", dtype, few, batch // 4, folder)
+            bad["gradients not finite"] = (~finite).any(axis=1)
+            if not finite.all():
+                found["leaves whose gradients are not finite"] = leaves[(~finite).any(axis=0)].tolist()
+        found[dtype] = {what: int(some.sum()) for what, some in bad.items()}
+        found[dtype] |= {f"first {what}": told(drawn, int(np.argmax(s)), program) for what, s in bad.items() if s.any()}
+    return found | compared(light["float32"].astype(float), light["float64"], drawn, program)
+
+
+def compared(low: np.ndarray, high: np.ndarray, drawn: Scenes, program: Program) -> dict:
+    """How far float32 is from float64, by what may make it so."""
+    bright = np.maximum(high.max(axis=1, keepdims=True), 1e-30)
+    # a radiance below what float32 holds is none
+    share, level = np.abs(low - high) / np.maximum(high, 1e-30), np.abs(low - high) / bright
+    values = dict(zip(RANGES, drawn.values.T[:, :, None], strict=True))
+    thick = values["optical_depth"] * (drawn.wavelength / 550.0) ** -values["exponent"] > THICK
+    causes = {
+        f"haze of optical depth above {THICK:g}": thick,
+        "sun below 85 degrees": np.broadcast_to(values["sun_zenith_deg"] > 85.0, thick.shape),
+        "haze scatters backward, asymmetry below -0.5": np.broadcast_to(values["asymmetry"] < -0.5, thick.shape),
+        "forward peak, asymmetry above 0.9": np.broadcast_to(values["asymmetry"] > 0.9, thick.shape),
+    }
+    far = (share > NEAR).any(axis=1)
+    found: dict = {"spectra": int(far.size), "float32 farther than 1e-3": int(far.sum())}
+    for cause, here in causes.items():
+        found[f"of them, {cause}"] = int((far & here).sum())
+        far = far & ~here
+    found["of them, none of these"] = int(far.sum())
+    found |= {
+        "float32 farther than 1e-3 of the brightest view": int((level > NEAR).any(axis=1).sum()),
+        "largest difference": float(share.max()),
+        "largest difference, share of the brightest view": float(level.max()),
+        "median of the largest difference": float(np.median(share.max(axis=1))),
+    }
     if far.any():
-        found["farthest"] = told(drawn, rows[int(np.argmax(share.max(axis=(1, 2))))], program)
+        worst = np.where(far, share.max(axis=1), 0.0).max(axis=1)
+        found["farthest of these"] = told(drawn, int(np.argmax(worst)), program)
     return found
-
-
-def _worst(values: np.ndarray) -> float:
-    bright = np.nanmax(np.abs(values), axis=1, keepdims=True)
-    return float(np.nanmin(np.where(bright > 0.0, values / np.where(bright > 0.0, bright, 1.0), 0.0), initial=0.0))
 
 
 def main() -> None:
@@ -248,26 +270,23 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True, help="folder that keeps what was answered")
     parser.add_argument("--scenes", type=int, default=20000)
     parser.add_argument("--gradients", type=int, default=1000)
-    parser.add_argument("--spheres", type=int, default=200)
+    parser.add_argument("--spheres", type=int, default=60)
+    parser.add_argument("--sphere-gradients", type=int, default=16)
     parser.add_argument("--seed", type=int, default=68)
-    parser.add_argument("--dtype", choices=("float32", "float64"), help=argparse.SUPPRESS)
+    parser.add_argument("--part", choices=("float32", "float64", "slopes"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
-    if options.dtype is not None:
+    if options.part is not None:
         worker(options)
         return
-    again = [sys.executable, "-m", "experiments.validation.hard_cases", *sys.argv[1:], "--dtype"]
-    for dtype in ("float32", "float64"):
-        subprocess.run([*again, dtype], check=True, env=os.environ | {"XLA_FLAGS": FLAGS})
+    again = [sys.executable, "-m", "experiments.validation.hard_cases", *sys.argv[1:], "--part"]
+    for part in ("float32", "float64", "slopes"):
+        subprocess.run([*again, part], check=True, env=os.environ | {"XLA_FLAGS": FLAGS})
     jax.config.update("jax_enable_x64", True)
-    drawn = scenes(max(options.scenes, options.spheres), options.seed)
     record = {
         "made with": made_with(options.seed),
-        "asked for": {"scenes": options.scenes, "gradients": options.gradients, "spheres": options.spheres},
-        "programs": {
-            name: judged(name, program, drawn, rows, few, batch, options.work)
-            for name, program, rows, few, batch in shared_out(options)
-        },
+        "asked for": {name: value for name, value in vars(options).items() if name not in ("work", "part", "seed")},
+        "programs": {share.name: judged(share, options.work) for share in shared_out(options)},
     }
     RESULT.write_text(json.dumps(record, indent=1) + "\n")
     print(json.dumps(record, indent=1))
