@@ -226,6 +226,49 @@ def test_the_command_takes_a_tolerance(skyfit_command, tmp_path):
         assert wrong.returncode == 2 and said in wrong.stderr
 
 
+@pytest.mark.parametrize(
+    "asked",
+    ["render --sun-zenith 60 --out a.png", "refit --out a", "invert {sample} --out a"],
+    ids=["render", "refit", "invert"],
+)
+def test_every_command_takes_the_same_tolerance(skyfit_command, tmp_path, checkout, asked):
+    words = asked.format(sample=checkout / "data" / "skies" / "sample.nc").split()
+    for more, said in (
+        (["--solver", "auto"], "must come with `--tolerance`"),
+        (["--tolerance", "5%", "--preset", "fine"], "`--preset` must be left out with `--tolerance`"),
+    ):
+        wrong = skyfit_command(*words, *more, cwd=tmp_path, check=False)
+        assert wrong.returncode == 2 and said in wrong.stderr and not list(tmp_path.iterdir())
+
+
+def test_one_solver_is_chosen_for_all_skies_with_all_constituents(checkout):
+    from skyfit.cli.chosen import chosen_for, scenes_of
+
+    clear = AIR.replace(aerosol=skyfit.Aerosol(1e-7))
+    assert "aerosol" not in choose(clear, scene(), 0.1).atmosphere
+    assert choose(clear, scene(), 0.1, keep_all=True).atmosphere.names == clear.names
+    easy, hard = scene(edge=40.0), scene(60.0, edge=89.0)
+    both, one, other = chosen_for([(clear, easy), (AIR, hard)], 0.1), choose(AIR, hard, 0.1), choose(clear, easy, 0.1)
+    assert both.seconds == max(one.seconds, other.seconds)
+    assert both.expected_error >= max(one.expected_error, other.expected_error) - 0.05
+    assert isinstance(chosen_for([(AIR, easy), (AIR, scene(95.0))], 0.5).solver, Spherical)
+    measured = skyfit.read(checkout / "data" / "skies" / "sample.nc")
+    (seen,) = scenes_of(measured, AIR, None)
+    assert seen.view.zenith.shape == measured.view_zenith[0].shape
+    assert seen.wavelength_nm.shape == measured.wavelength_nm.shape
+
+
+@pytest.mark.slow
+def test_the_error_to_expect_is_the_model_error_of_a_fit(skyfit_command, tmp_path, checkout):
+    sample = checkout / "data" / "skies" / "sample.nc"
+    asked = "--free aerosol_optical_depth --out fit --tolerance 100%".split()
+    done = skyfit_command("invert", sample, *asked, cwd=tmp_path, check=False)
+    assert done.returncode == 0 and "SingleScattering" in done.stdout and "error to expect" in done.stdout
+    kept = json.loads((tmp_path / "fit" / "fit.json").read_text())
+    expected = float(re.search(r"error to expect: ([\d.e+-]+) %", done.stdout)[1])
+    assert 100.0 * kept["measurement"]["model_error"] == pytest.approx(expected, rel=0.06)
+
+
 def test_numbers_that_decide_are_finite_in_hard_scenes():
     from skyfit.transport.deciding import deciding
 

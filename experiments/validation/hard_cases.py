@@ -161,8 +161,10 @@ def answered(name: str, run, drawn: Scenes, count: int, batch: int, folder: Path
     print(f"{dtype} {name}: {made} scenes, {time.perf_counter() - start:.0f} s", flush=True)
 
 
-def kept(name: str, dtype: str, count: int, batch: int, folder: Path) -> np.ndarray:
-    return np.concatenate([np.load(path) for path, _ in places(name, dtype, count, batch, folder)])
+def kept(name: str, dtype: str, count: int, batch: int, folder: Path) -> np.ndarray | None:
+    """What was answered so far, None where nothing was."""
+    parts = [np.load(path) for path, _ in places(name, dtype, count, batch, folder) if path.exists()]
+    return np.concatenate(parts) if parts else None
 
 
 class Share(NamedTuple):
@@ -220,12 +222,16 @@ def judged(share: Share, folder: Path) -> dict:
     """What is wrong with the answers of a program."""
     name, program, drawn, few, batch = share
     count, leaves = len(drawn.values), np.array(names_of_leaves(program))
-    light = {dtype: kept(name, dtype, count, batch, folder) for dtype in ("float32", "float64")}
-    found: dict = {"scenes": count, "scenes with gradients": few}
+    light = {}
+    for dtype in ("float32", "float64"):
+        light[dtype] = kept(name, dtype, count, batch, folder)
+        if light[dtype] is None or len(light[dtype]) < count:
+            raise ValueError(f"`--work`: {folder} holds fewer radiances by {name} in {dtype} than were asked for")
+    finite = kept(f"{name} slopes", "float32", few, batch // 4, folder)
+    found: dict = {"scenes": count, "scenes with gradients": 0 if finite is None else len(finite)}
     for dtype, values in light.items():
         bad = {"not finite": (~np.isfinite(values)).any(axis=(1, 2)), "negative": (values < 0.0).any(axis=(1, 2))}
-        if dtype == "float32" and few:
-            finite = kept(f"{name} slopes", dtype, few, batch // 4, folder)
+        if dtype == "float32" and finite is not None:
             bad["gradients not finite"] = (~finite).any(axis=1)
             if not finite.all():
                 found["leaves whose gradients are not finite"] = leaves[(~finite).any(axis=0)].tolist()
@@ -273,6 +279,7 @@ def main() -> None:
     parser.add_argument("--spheres", type=int, default=60)
     parser.add_argument("--sphere-gradients", type=int, default=16)
     parser.add_argument("--seed", type=int, default=68)
+    parser.add_argument("--judge-only", action="store_true", help="what was answered so far; all radiances are needed")
     parser.add_argument("--part", choices=("float32", "float64", "slopes"), help=argparse.SUPPRESS)
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
@@ -280,12 +287,16 @@ def main() -> None:
         worker(options)
         return
     again = [sys.executable, "-m", "experiments.validation.hard_cases", *sys.argv[1:], "--part"]
-    for part in ("float32", "float64", "slopes"):
+    for part in () if options.judge_only else ("float32", "float64", "slopes"):
         subprocess.run([*again, part], check=True, env=os.environ | {"XLA_FLAGS": FLAGS})
     jax.config.update("jax_enable_x64", True)
     record = {
         "made with": made_with(options.seed),
-        "asked for": {name: value for name, value in vars(options).items() if name not in ("work", "part", "seed")},
+        "asked for": {
+            name: value
+            for name, value in vars(options).items()
+            if name in ("scenes", "gradients", "spheres", "sphere_gradients")
+        },
         "programs": {share.name: judged(share, options.work) for share in shared_out(options)},
     }
     RESULT.write_text(json.dumps(record, indent=1) + "\n")

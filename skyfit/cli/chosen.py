@@ -42,9 +42,12 @@ def scenes_of(sky: Sky, atmosphere: Atmosphere, response: Response | None) -> li
     parts = [part for c in atmosphere.constituents for part in (c, c.phase) if part is not None]
     for low, high in (part.known_nm for part in parts):
         nm = nm[(nm >= low) & (nm <= high)]
-    views = (np.broadcast_to(part, (len(sky.time), part.shape[-1])) for part in (sky.view_zenith, sky.view_azimuth))
-    angles = zip(sky.sun_zenith, sky.sun_azimuth, *views, strict=True)
-    return [Scene(sun, around, Directions(*view), nm, np.ones(nm.size)) for sun, around, *view in angles]
+    found = []
+    for t in range(len(sky.time)):
+        view = np.stack([sky.view_zenith[t], sky.view_azimuth[t]])
+        view = Directions(*view[:, np.isfinite(view[0])])
+        found.append(Scene(*sky.sun_at(t), view, nm, np.ones(nm.size)))
+    return found
 
 
 def print_choice(choice: Choice, allowed: float) -> None:
