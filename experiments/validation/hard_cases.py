@@ -35,6 +35,8 @@ from skyfit.transport import AbstractSolver
 
 RESULT = HERE / "results" / "hard_cases.json"
 VIEWS, COLOURS = 8, 3
+# the place of the view along the horizon
+HORIZONTAL = 2
 # low and high ends; those of `LOGARITHMIC` are drawn evenly in the logarithm, and their low end is none at all
 RANGES = {
     "sun_zenith_deg": (0.0, 108.0), "optical_depth": (1e-5, 50.0), "asymmetry": (-0.95, 0.999), "albedo": (0.0, 1.0),
@@ -101,7 +103,7 @@ def scenes(count: int, seed: int) -> Scenes:
     zenith = np.arccos(1.0 - 2.0 * share[:, numbers : numbers + VIEWS])
     azimuth = 2.0 * np.pi * share[:, numbers + VIEWS : numbers + 2 * VIEWS]
     sun = np.radians(values[:, 0])
-    zenith[:, 0], zenith[:, 1], zenith[:, 2] = sun, np.abs(sun - 1e-4), 0.5 * np.pi
+    zenith[:, 0], zenith[:, 1], zenith[:, HORIZONTAL] = sun, np.abs(sun - 1e-4), 0.5 * np.pi
     azimuth[:, :2] = 0.0
     colour = SHORTEST * (LONGEST / SHORTEST) ** ((np.arange(COLOURS) + share[:, -COLOURS:]) / COLOURS)
     # float32 of pi is above it
@@ -247,7 +249,9 @@ def compared(low: np.ndarray, high: np.ndarray, drawn: Scenes, program: Program)
     share, level = np.abs(low - high) / np.maximum(high, 1e-30), np.abs(low - high) / bright
     values = dict(zip(RANGES, drawn.values.T[:, :, None], strict=True))
     thick = values["optical_depth"] * (drawn.wavelength / 550.0) ** -values["exponent"] > THICK
+    other = np.delete(share, HORIZONTAL, axis=1)
     causes = {
+        "the horizontal view alone": ~(other > NEAR).any(axis=1),
         f"haze of optical depth above {THICK:g}": thick,
         "sun below 85 degrees": np.broadcast_to(values["sun_zenith_deg"] > 85.0, thick.shape),
         "haze scatters backward, asymmetry below -0.5": np.broadcast_to(values["asymmetry"] < -0.5, thick.shape),

@@ -14,9 +14,11 @@ from .options import app
 
 # importing a command registers it
 _COMMANDS = (simulate, render, refit, export, convert, invert, perez, sensitivity)
-# compiles in two thirds of the time to programs that run as fast. XLA ends the process over a flag that it does not
-# know, so this one is for the jaxlib that it was tried on
-_QUICK_TO_COMPILE, _TRIED_ON = "--xla_cpu_use_fusion_emitters=false", "0.10.2"
+# XLA ends the process over a flag that it does not know, so these are for the jaxlib that they were tried on. The first
+# compiles in two thirds of the time to programs that run as fast; without the second some sums of many terms are wrong,
+# and some over seven axes crash: github.com/jax-ml/jax/issues/39103 and 39257
+_FLAGS = "--xla_cpu_use_fusion_emitters=false", "--xla_cpu_experimental_ynn_fusion_type=-reduce"
+_TRIED_ON = "0.10.2"
 
 
 def _print_version(asked: bool | None) -> None:
@@ -45,8 +47,10 @@ def main() -> None:
         JAX_COMPILATION_CACHE_DIR=str(cache),
         JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0.2",
     )
-    if version("jaxlib") == _TRIED_ON and "xla_cpu_use_fusion_emitters" not in os.environ.get("XLA_FLAGS", ""):
-        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_QUICK_TO_COMPILE}".strip()
+    if version("jaxlib") == _TRIED_ON:
+        given = os.environ.get("XLA_FLAGS", "")
+        more = (flag for flag in _FLAGS if flag.partition("=")[0] not in given)
+        os.environ["XLA_FLAGS"] = " ".join([given, *more]).strip()
     try:
         app()
     except (ValueError, OSError) as error:
