@@ -1,6 +1,8 @@
 """The solver that `choose` finds for an error, what it says, and the bound of `estimate_error`."""
 
 import json
+import re
+from collections import Counter
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +11,8 @@ import pytest
 
 import skyfit
 from skyfit import choose, OrdersOfScattering, SingleScattering, Spherical
-from skyfit.tables import read_arrays
+from skyfit.tables import read_arrays, read_table
+from skyfit.transport.choose import candidates_of, streams_of
 from skyfit.transport.estimate import bound_of, estimate_error, picked, refinement
 from skyfit.transport.work import seconds
 
@@ -63,6 +66,50 @@ def test_constituents_that_change_nothing_are_left_out():
     # near 345 nm and beyond 900 nm ozone absorbs next to nothing
     assert "ozone" not in choose(AIR, scene(colours=np.array([950.0, 1000.0])), 0.03).atmosphere
     assert "ozone" in choose(AIR, scene(colours=np.array([600.0])), 0.01).atmosphere
+
+
+def lowered(solver, atmosphere, colours=COLOURS):
+    """The operations of the lowered program and the shapes of its arrays, with how often each stands there."""
+    here = scene(colours=colours)
+    text = jax.jit(lambda air: solver.radiance(air, here)).lower(atmosphere).as_text()
+    return tuple(Counter(re.findall(form, text)) for form in (r"stablehlo\.(\w+)", r"tensor<([\dx]+)xf"))
+
+
+def test_a_constituent_that_is_left_out_leaves_no_trace():
+    infrared = np.array([950.0, 1000.0])
+    choice = choose(AIR, scene(colours=infrared), 0.03)
+    less, more = (lowered(choice.solver, air, infrared) for air in (choice.atmosphere, AIR))
+    assert "ozone" not in choice.atmosphere and all(less[0][name] <= more[0][name] for name in less[0])
+    table = str(read_table("spectrl2_absorption.csv")["wavelength_nm"].size)
+    assert less[1][table] == 0 < more[1][table]
+    # without haze the modes go too that air has none of
+    clear = AIR.replace(aerosol=skyfit.Aerosol(1e-7))
+    choice = choose(clear, scene(), 0.03)
+    less, more = (lowered(choice.solver, air) for air in (choice.atmosphere, clear))
+    modes = choice.solver.modes
+    assert "aerosol" not in choice.atmosphere and all(less[0][name] <= more[0][name] for name in less[0])
+    assert not any(str(modes) in shape.split("x") for shape in less[1])
+    assert any(str(modes) in shape.split("x") for shape in more[1])
+
+
+def test_orders_that_are_left_out_leave_no_trace():
+    once = choose(AIR, scene(), 1.0).solver
+    less, more = (lowered(solver, AIR)[0] for solver in (once, streams_of("6 streams", once.geometry, False, 0)))
+    assert isinstance(once, SingleScattering) and less["while"] == 0 < more["while"]
+    assert all(less[name] <= more[name] for name in less)
+
+
+@pytest.mark.slow
+def test_polarisation_and_curved_paths_that_are_left_out_leave_no_trace():
+    flat, whole, round_ = (
+        streams_of("6 streams", *kind, 0) for kind in (("flat", False), ("flat", True), ("spherical", False))
+    )
+    assert {flat, whole} <= {*candidates_of(AIR, scene(colours=np.linspace(400.0, 800.0, 81)))}
+    less, polarised, bent = (lowered(solver, AIR)[0] for solver in (flat, whole, round_))
+    assert less["while"] < polarised["while"] and less["dot_general"] < polarised["dot_general"]
+    assert less["sqrt"] < bent["sqrt"] and less["dot_general"] < bent["dot_general"]
+    for more in (polarised, bent):
+        assert sum(less.values()) < sum(more.values()) and all(less[name] <= more[name] for name in less)
 
 
 def test_a_dark_scene_needs_no_solver():
@@ -177,6 +224,49 @@ def test_the_command_takes_a_tolerance(skyfit_command, tmp_path):
     ):
         wrong = skyfit_command(*asked, *more, cwd=tmp_path, check=False)
         assert wrong.returncode == 2 and said in wrong.stderr
+
+
+@pytest.mark.parametrize(
+    "asked",
+    ["render --sun-zenith 60 --out a.png", "refit --out a", "invert {sample} --out a"],
+    ids=["render", "refit", "invert"],
+)
+def test_every_command_takes_the_same_tolerance(skyfit_command, tmp_path, checkout, asked):
+    words = asked.format(sample=checkout / "data" / "skies" / "sample.nc").split()
+    for more, said in (
+        (["--solver", "auto"], "must come with `--tolerance`"),
+        (["--tolerance", "5%", "--preset", "fine"], "`--preset` must be left out with `--tolerance`"),
+    ):
+        wrong = skyfit_command(*words, *more, cwd=tmp_path, check=False)
+        assert wrong.returncode == 2 and said in wrong.stderr and not list(tmp_path.iterdir())
+
+
+def test_one_solver_is_chosen_for_all_skies_with_all_constituents(checkout):
+    from skyfit.cli.chosen import chosen_for, scenes_of
+
+    clear = AIR.replace(aerosol=skyfit.Aerosol(1e-7))
+    assert "aerosol" not in choose(clear, scene(), 0.1).atmosphere
+    assert choose(clear, scene(), 0.1, keep_all=True).atmosphere.names == clear.names
+    easy, hard = scene(edge=40.0), scene(60.0, edge=89.0)
+    both, one, other = chosen_for([(clear, easy), (AIR, hard)], 0.1), choose(AIR, hard, 0.1), choose(clear, easy, 0.1)
+    assert both.seconds == max(one.seconds, other.seconds)
+    assert both.expected_error >= max(one.expected_error, other.expected_error) - 0.05
+    assert isinstance(chosen_for([(AIR, easy), (AIR, scene(95.0))], 0.5).solver, Spherical)
+    measured = skyfit.read(checkout / "data" / "skies" / "sample.nc")
+    (seen,) = scenes_of(measured, AIR, None)
+    assert seen.view.zenith.shape == measured.view_zenith[0].shape
+    assert seen.wavelength_nm.shape == measured.wavelength_nm.shape
+
+
+@pytest.mark.slow
+def test_the_error_to_expect_is_the_model_error_of_a_fit(skyfit_command, tmp_path, checkout):
+    sample = checkout / "data" / "skies" / "sample.nc"
+    asked = "--free aerosol_optical_depth --out fit --tolerance 100%".split()
+    done = skyfit_command("invert", sample, *asked, cwd=tmp_path, check=False)
+    assert done.returncode == 0 and "SingleScattering" in done.stdout and "error to expect" in done.stdout
+    kept = json.loads((tmp_path / "fit" / "fit.json").read_text())
+    expected = float(re.search(r"error to expect: ([\d.e+-]+) %", done.stdout)[1])
+    assert 100.0 * kept["measurement"]["model_error"] == pytest.approx(expected, rel=0.06)
 
 
 def test_numbers_that_decide_are_finite_in_hard_scenes():

@@ -54,6 +54,7 @@ HARD = {
     "no haze": (30.0, {"haze": 0.0}),
     "no ozone": (30.0, {"ozone": 0.0}),
     "g 0": (30.0, {"asymmetry": 0.0}),
+    "g 1e-4": (30.0, {"asymmetry": 1e-4}),
     "g 0.999": (30.0, {"asymmetry": 0.999}),
     "g 0.999 in thick haze": (30.0, {"asymmetry": 0.999, "haze": 2.0}),
     "g -0.9": (30.0, {"asymmetry": -0.9}),

@@ -39,6 +39,7 @@ from .options import (
     PresetOption,
     SolverOption,
     SunAngle,
+    ToleranceOption,
 )
 
 
@@ -52,12 +53,15 @@ FreeOption = Annotated[
 PriorOption = Annotated[list[str] | None, typer.Option(help="name=value,sigma known before, or name=none")]
 # that a jackknife leaves out by turns
 _GROUPS = 10
+# a tolerance chooses for the first guess and for what was fitted with it
+_CHOICES = 2
 # degrees; `NoiseModel` ends at half a radian
 _WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 
 
 @app.command("invert", epilog="Example: skyfit invert scan.nc --out fit --prior ozone=310,15")
 def invert_command(
+    context: typer.Context,
     sky: Annotated[
         Path, typer.Argument(help="of an instrument, NetCDF, CSV, a folder of ASD text exports, or a picture")
     ],
@@ -95,6 +99,7 @@ def invert_command(
     preset: PresetOption = PresetName.normal,
     geometry: GeometryOption = GeometryName.spherical,
     polarised: PolarisedOption = None,
+    tolerance: ToleranceOption = None,
     projection: ProjectionOption = None,
     lens: LensOption = None,
     across: AcrossOption = None,
@@ -113,8 +118,11 @@ def invert_command(
     As skyfit.invert does in Python: by OrdersOfScattering.normal, spherical, polarised for spectra and scalar for
     channels, where no option says otherwise. The command computes in float64; Python in the precision of its process,
     float32 where nobody asks for more. The search begins at the atmosphere of a file, where one is given, and what is
-    not fitted stays what it is there, ozone and pressure too.
+    not fitted stays what it is there, ozone and pressure too. With a tolerance the solver is chosen for the first guess
+    and, where the fitted air asks for another, once more; the error to expect of it is the model error of sigma, unless
+    one is given.
     """
+    from dataclasses import replace
     from math import radians
 
     import jax
@@ -125,10 +133,12 @@ def invert_command(
     from ..records import save, write_products
     from ..retrieve import aerosol_products, invert
     from .asked import free_of, priors_of, response_of, samples_of, shared_of, smooth_of, start_of, values_of_fix
+    from .chosen import allowed_of, chosen_for, print_choice, scenes_of
     from .fit_report import print_fit
     from .models import atmosphere_of, make_solver
     from .printing import console, progress
 
+    allowed = allowed_of(context, solver, tolerance, ("preset", "geometry", "polarised"))
     smoothed = smooth_of(smooth or [])
     view = radians(in_range("--field-of-view", field_of_view, 0.0, _WIDEST_VIEW))
     measurement = NoiseModel(relative, floor, calibration, model_error, view, loss.value, threshold)
@@ -155,18 +165,37 @@ def invert_command(
     asked = None if free is None and not known else names
     start = start_of(names, known, measured, None if atmosphere is None else atmosphere_of(atmosphere))
     common = shared_of(names, shared, independent, tuple(smoothed), len(measured.time))
-    spectral = channels is None and measured.response is None
-    vector = spectral and solver == "orders" if polarised is None else polarised
-    last = make_solver(solver, preset, geometry, vector)
-    # all orders know a coarser solver themselves
-    first = None if solver == "orders" else make_solver(solver, PresetName.draft, geometry, vector)
     check_folder(out)
     keep_in(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
-    with progress("compiling and fitting") as report:
-        fit = invert(
-            measured, asked, last, start, progress=report, shared=common, measurement=measurement, response=channels,
-            priors=priors, smooth=smoothed, draft=first, starts=starts, jackknife=_GROUPS if jackknife else 0,
-        )  # fmt: skip
+
+    def fitted(last, first, start, measurement):
+        with progress("compiling and fitting") as report:
+            return invert(
+                measured, asked, last, start, progress=report, shared=common, measurement=measurement,
+                response=channels, priors=priors, smooth=smoothed, draft=first, starts=starts,
+                jackknife=_GROUPS if jackknife else 0,
+            )  # fmt: skip
+
+    choice = None
+    if allowed is None:
+        spectral = channels is None and measured.response is None
+        vector = spectral and solver == "orders" if polarised is None else polarised
+        last = make_solver(solver, preset, geometry, vector)
+        # all orders know a coarser solver themselves
+        first = None if solver == "orders" else make_solver(solver, PresetName.draft, geometry, vector)
+        fit = fitted(last, first, start, measurement)
+    else:
+        scenes = scenes_of(measured, start.atmosphere, channels)
+        models, fit = [start] * len(scenes), None
+        for _ in range(_CHOICES):
+            found = chosen_for([(m.atmosphere, scene) for m, scene in zip(models, scenes, strict=True)], allowed)
+            if choice is not None and found.solver == choice.solver and found.expected_error <= choice.expected_error:
+                break
+            choice = found
+            allows = measurement if model_error is not None else replace(measurement, model_error=found.expected_error)
+            fit = fitted(found.solver, None, models[0], allows)
+            models = fit.fitted.models
+        assert fit is not None
     out.mkdir(parents=True, exist_ok=True)
     save(fit, out / "fit.json")
     save(fit, out / "fit.nc")
@@ -180,6 +209,8 @@ def invert_command(
     if panorama is not None:
         names += write_pictures(panorama, fit, out)
     print_fit(fit)
+    if choice is not None and allowed is not None:
+        print_choice(choice, allowed)
     if panorama is not None:
         for sentence in (told_of_place(panorama, fit, placed), told_of_haze(fit)):
             console.print(sentence, highlight=False)

@@ -14,9 +14,15 @@ from .options import app
 
 # importing a command registers it
 _COMMANDS = (simulate, render, refit, export, convert, invert, perez, sensitivity)
-# compile in about half of the time to programs that run as fast. XLA ends the process over a flag that it does not
-# know, so these are for the jaxlib that they were tried on
-_QUICK_TO_COMPILE, _TRIED_ON = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1", "0.10.2"
+# XLA ends the process over a flag that it does not know, so these are for the jaxlib that they were tried on. The first
+# two compile in about half of the time to programs that run as fast; without the third some sums of many terms are
+# wrong, and some over seven axes crash: github.com/jax-ml/jax/issues/39103 and 39257
+_FLAGS = (
+    "--xla_cpu_use_fusion_emitters=false",
+    "--xla_backend_optimization_level=1",
+    "--xla_cpu_experimental_ynn_fusion_type=-reduce",
+)
+_TRIED_ON = "0.10.2"
 
 
 def _print_version(asked: bool | None) -> None:
@@ -46,8 +52,9 @@ def main() -> None:
         JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0.2",
     )
     if version("jaxlib") == _TRIED_ON:
-        # the last of two values counts: the user's
-        os.environ["XLA_FLAGS"] = f"{_QUICK_TO_COMPILE} {os.environ.get('XLA_FLAGS', '')}".strip()
+        given = os.environ.get("XLA_FLAGS", "")
+        more = (flag for flag in _FLAGS if flag.partition("=")[0] not in given)
+        os.environ["XLA_FLAGS"] = " ".join([given, *more]).strip()
     try:
         app()
     except (ValueError, OSError) as error:

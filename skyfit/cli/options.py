@@ -42,8 +42,9 @@ class LossName(StrEnum):
 SolverOption = Annotated[
     str,
     typer.Option(
-        metavar=f"[{'|'.join(SOLVER_NAMES)}]",
-        help="all orders of scattering, the same on into night, two, one, Klassen's shells, Hoffman's uniform air",
+        metavar=f"[{'|'.join(SOLVER_NAMES)}|auto]",
+        help="all orders of scattering, the same on into night, two, one, Klassen's shells, Hoffman's uniform air; "
+        "auto: by --tolerance",
     ),
 ]
 PresetOption = Annotated[PresetName, typer.Option(help="resolution of the solver")]

@@ -28,6 +28,7 @@ from .options import (
     refuse,
     SingleScatteringAlbedo,
     SolverOption,
+    ToleranceOption,
 )
 
 
@@ -79,6 +80,7 @@ def refit_command(
     flat_below: Annotated[
         float | None, typer.Option(help="degrees: flat for views and suns nearer to the zenith (the paper: 70)")
     ] = None,
+    tolerance: ToleranceOption = None,
 ):
     """Refit Preetham's coefficients against skies simulated on the spot.
 
@@ -86,15 +88,28 @@ def refit_command(
 
     Exit code 3 if the fit did not come to its end: the files are written, and the report names what did not.
     """
+    import numpy as np
+
     from ..analytic import refit
+    from ..analytic.refit import (
+        EXTENDED_SUN_ZENITH_DEG,
+        EXTENDED_TURBIDITY,
+        SUN_ZENITH_DEG,
+        TURBIDITY,
+        WAVELENGTH_NM,
+    )
     from ..atmosphere import describe, HenyeyGreenstein, Tabulated, turbidity_to_optical_depth
     from ..draw import plot_refit
     from ..records import write_coefficients
+    from ..scene import hemisphere, Scene
+    from .chosen import allowed_of, chosen_for, print_choice
     from .models import atmosphere_of, make_atmosphere, make_solver
     from .printing import console, progress
     from .refit_report import draw_skies, print_refit
 
     in_range("--directions", directions, 20, 100000)
+    allowed = allowed_of(context, solver, tolerance, ("preset", "geometry", "flat_below"))
+    choice, one = None, None if allowed is not None else make_solver(solver, preset, geometry)
     if flat_below is not None:
         in_range("--flat-below", flat_below, 0.0, 85.0)
     given = {name: value for name, value in context.params.items() if name not in ("out", "atmosphere")}
@@ -112,9 +127,20 @@ def refit_command(
         by_depth = _by_depth(air, atmosphere)
         given = {name: value for name, value in given.items() if name not in held} | {"atmosphere": describe(air)}
     check_folder(out)
+    if allowed is not None:
+        suns, hazes = SUN_ZENITH_DEG, TURBIDITY
+        if form is FormName.extended:
+            suns, hazes = EXTENDED_SUN_ZENITH_DEG, EXTENDED_TURBIDITY
+        dome, colours = hemisphere(directions), np.array(WAVELENGTH_NM)
+        ends = [(sun, haze) for sun in (suns[0], suns[-1]) for haze in (hazes[0], hazes[-1])]
+        skies = [
+            (by_depth(turbidity_to_optical_depth(haze)), Scene.from_degrees(sun, dome, colours)) for sun, haze in ends
+        ]
+        choice = chosen_for(skies, allowed)
+        one = choice.solver
     with progress("simulating skies and fitting") as report:
         result = refit(
-            make_solver(solver, preset, geometry), lambda turbidity: by_depth(turbidity_to_optical_depth(turbidity)),
+            one, lambda turbidity: by_depth(turbidity_to_optical_depth(turbidity)),
             directions=directions, form=form.value, flat_below_deg=flat_below, progress=report,
         )  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
@@ -123,6 +149,8 @@ def refit_command(
     plot_refit(result, errors)
     draw_skies(result, skies, form.value)
     print_refit(result)
+    if choice is not None and allowed is not None:
+        print_choice(choice, allowed)
     console.print(f"written: {coefficients}, {errors}, {skies}", highlight=False)
     if any(word != "successful" for word in result.result.values()):
         raise typer.Exit(3)

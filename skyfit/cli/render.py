@@ -18,6 +18,7 @@ from .options import (
     PresetOption,
     SunAzimuth,
     SunZenith,
+    ToleranceOption,
 )
 
 
@@ -81,7 +82,10 @@ def render(
     ] = None,
     solver: Annotated[
         str,
-        typer.Option(metavar="[spherical|orders|single|double|extended|published|FILE]", help="FILE: coefficients"),
+        typer.Option(
+            metavar="[spherical|orders|single|double|extended|published|FILE|auto]",
+            help="FILE: coefficients; auto: by --tolerance",
+        ),
     ] = "spherical",
     preset: PresetOption = PresetName.normal,
     height: Annotated[float, typer.Option(help="of the observer, m; other than spherical: on the ground")] = 2.0,
@@ -124,6 +128,7 @@ def render(
     ] = ToneName.filmic,
     space: Annotated[SpaceName, typer.Option(help="of an .exr")] = SpaceName.srgb,
     half: Annotated[bool, typer.Option("--half", help=".exr in half precision, scaled by its whiteLuminance")] = False,
+    tolerance: ToleranceOption = None,
 ):
     """Render a picture of the sky, the ground and the sun.
 
@@ -137,8 +142,10 @@ def render(
     from ..atmosphere import Atmosphere, Ground
     from ..image import Camera
     from ..image.picture import check_saving
-    from ..image.render import check_height, render as rendered
-    from ..transport import SOLVERS
+    from ..image.render import check_height, EYE, render as rendered, SPECTRUM
+    from ..scene import hemisphere, Scene
+    from ..transport import SOLVERS, Spherical
+    from .chosen import allowed_of, chosen_for, print_choice
     from .models import analytic_of, atmosphere_of, make_solver
     from .printing import console, progress
     from .sequence import begin, Frame, frames_of
@@ -153,8 +160,12 @@ def render(
         raise ValueError("`--turbidity` must be left out with `--atmosphere`, whose file holds the haze")
     haze = in_range("--turbidity", 3.0 if turbidity is None else turbidity, 1.0, 50.0)
     asked: dict = {}
-    if solver in SOLVERS:
-        chosen = make_solver(solver, preset, GeometryName.flat if solver == "uniform" else GeometryName.spherical)
+    allowed = allowed_of(context, solver, tolerance, ("preset",))
+    if allowed is not None or solver in (*SOLVERS, "auto"):
+        # the choice waits for the suns, of which the sphere knows most
+        chosen = Spherical.normal()
+        if allowed is None:
+            chosen = make_solver(solver, preset, GeometryName.flat if solver == "uniform" else GeometryName.spherical)
         check_height(height, chosen)
         lowest, asked = chosen.suns.largest_deg, {"solver": chosen, "height": height}
         sky = (
@@ -181,6 +192,14 @@ def render(
             raise ValueError("`--until` must come with `--time`, `--at` and `--frames`, without an angle of the sun")
         todo = frames_of(out, time, until, frames, at, SEA_LEVEL_PRESSURE, lowest)
         around = todo[len(todo) // 2].azimuth
+    choice = None
+    if allowed is not None:
+        # an eye's height is the ground's
+        observer = None if height == EYE else height
+        scenes = (Scene.from_degrees(f.zenith, hemisphere(343), SPECTRUM, f.azimuth, height=observer) for f in todo)
+        assert isinstance(sky, Atmosphere)
+        choice = chosen_for(((sky, scene) for scene in scenes), allowed)
+        asked["solver"] = choice.solver
     width, rows = _SIZES[projection] if size is None else _size(size)
     view = None if field_of_view is None else float(np.radians(field_of_view))
     camera = Camera(
@@ -204,6 +223,8 @@ def render(
                 frame.path, exposure=exposure, white_balance=white_balance, tone=tone.value, space=space.value,
                 half=half,
             )  # fmt: skip
+    if choice is not None and allowed is not None:
+        print_choice(choice, allowed)
     if until is not None:
         _told_of(todo, out)
         return

@@ -89,6 +89,7 @@ def simulate(
     from ..programs import keep_in
     from ..scene import Directions, hemisphere, Scene
     from ..transport import check_scene, choose, low_sun, LowSunWarning, Spherical
+    from .chosen import allowed_of, print_choice
     from .models import (
         in_words,
         kept_radiance,
@@ -96,7 +97,6 @@ def simulate(
         make_solver,
         precision,
         settings_of,
-        tolerance_of,
         turbidity_of,
         wavelengths_of,
     )
@@ -106,13 +106,10 @@ def simulate(
     given = None if atmosphere is None else _given_atmosphere(context, atmosphere)
     haze = 1.0 if given else turbidity_of(turbidity, aerosol_optical_depth, meteorological_range, haze_height)
     analytic, lowest = (None, 90.0) if coefficients is None else _analytic_sky(context, coefficients)
-    allowed = None if tolerance is None else tolerance_of(tolerance)
+    allowed = allowed_of(context, solver, tolerance, ("preset", "geometry", "polarised"))
+    chosen = Spherical.normal()
     if allowed is None:
         chosen = make_solver(solver, preset, geometry, solver == "orders" if polarised is None else polarised)
-    else:
-        held = ("preset", "geometry", "polarised", *("solver",) * (solver != "auto"))
-        refuse(context, held, "`--tolerance`, which chooses the solver")
-        chosen = Spherical.normal()
     lowest = chosen.suns.largest_deg if analytic is None else lowest
     zenith, azimuth, about = sun_of(sun_zenith, sun_azimuth, time, at, pressure, lowest)
     if out.suffix not in (".nc", ".csv") or not out.absolute().parent.is_dir():
@@ -171,10 +168,8 @@ def simulate(
     write_sky(sky, out)
     console.print(f"{out}: {radiance.shape[0]} directions, {radiance.shape[1]} wavelengths", highlight=False)
     console.print(f"model: {model}, {precision()}", highlight=False)
-    for reason in () if choice is None else choice.reasons:
-        console.print(f"  {reason}", highlight=False, markup=False, soft_wrap=True)
-    if choice is not None:
-        console.print(f"error to expect: {100.0 * choice.expected_error:.2g} % at most", highlight=False)
+    if choice is not None and allowed is not None:
+        print_choice(choice, allowed)
 
 
 def _given_atmosphere(context: typer.Context, path: Path):

@@ -81,11 +81,13 @@ class _Candidate(NamedTuple):
     seconds: float
 
 
-def choose(atmosphere: Atmosphere, scene: Scene, tolerance: float, *, of: Of = "maximum") -> Choice:
+def choose(
+    atmosphere: Atmosphere, scene: Scene, tolerance: float, *, of: Of = "maximum", keep_all: bool = False
+) -> Choice:
     """The cheapest way to solve a scene whose error stays under a tolerance, and why.
 
     **Arguments:** `tolerance`, relative, in (0, 1]; `of`: it holds for the "maximum" over the scene's directions above
-    the horizon and its wavelengths, or for their "median".
+    the horizon and its wavelengths, or for their "median"; `keep_all`: no constituent is left out.
     **Returns:** a `Choice`. **Errors:** `ValueError` for what is traced, and for a sun or wavelengths that no solver
     knows.
     **Valid:** on the host, outside jit. Errors are of the radiance, against
@@ -113,7 +115,7 @@ def choose(atmosphere: Atmosphere, scene: Scene, tolerance: float, *, of: Of = "
     chosen, met = candidates[place], off[place] <= tolerance
     reasons = [f"{of} over {scene.view.zenith.shape[0]} directions and {scene.wavelength_nm.shape[0]} wavelengths"]
     reasons += _of_solver(chosen, candidates, errors, sun, scene)
-    kept, left, said = _without(atmosphere, chosen, errors, tolerance)
+    kept, left, said = (atmosphere, (), []) if keep_all else _without(atmosphere, chosen, errors, tolerance)
     reasons += said
     known = errors.unknown(scene)
     reasons += [f"beyond what the errors were fitted to: {what}" for what in known]

@@ -16,6 +16,8 @@ from .layering import peaked, Scaled
 
 # moments of the squared phase functions: those of asymmetry 0.95 have fallen to a thousandth
 _SQUARED = 64
+# a peak smaller than this changes nothing, and its square, by which slopes divide, may be 0
+_NO_PEAK = 1e-12
 
 
 def aureole_excess(
@@ -50,7 +52,7 @@ def aureole_excess(
     degree = np.arange(_SQUARED)
     peak = moments[count][None]
     # none of a peak that is narrower than these moments tell
-    told = 1.0 - (moments[-1][None] / jnp.where(peak > 0.0, peak, 1.0)) ** 2
+    told = 1.0 - (moments[-1][None] / jnp.where(peak > _NO_PEAK, peak, 1.0)) ** 2
     weight = jnp.asarray(2.0 * degree + 1.0, wavelength.dtype)[:, None]
     carried = jnp.asarray(degree < count)[:, None]
     angle = 2.0 * jnp.arctan2(safe_sqrt(half), safe_sqrt(1.0 - half))

@@ -123,7 +123,8 @@ class SphericalField(eqx.Module):
         views = views_of(scene, "spherical")
         light = self._scattered(medium, scene, views) + _ground(self, medium, scene, views)
         seen = views.aloft | above_horizon(scene.view.zenith)
-        return jnp.where(seen[:, None], light, 0.0)
+        # no radiance is negative: where next to none is left, what the orders are off by may be more than that
+        return jnp.where(seen[:, None] & ~(light < 0.0), light, 0.0)
 
     @eqx.filter_jit
     def _by_order(self, scene: Scene):

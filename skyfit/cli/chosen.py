@@ -1,0 +1,58 @@
+"""What `--tolerance` means, for every command: the solver that `choose` finds for all skies of a command."""
+
+from collections.abc import Iterable
+
+import numpy as np
+import typer
+
+from ..atmosphere import Atmosphere
+from ..measured import Response, Sky
+from ..scene import Directions, Scene
+from ..transport import Choice, choose, Spherical
+from .models import tolerance_of
+from .options import refuse
+from .printing import console
+
+
+def allowed_of(context: typer.Context, solver: str, tolerance: str | None, held: tuple[str, ...]) -> float | None:
+    """The error that is allowed, None where none is asked for; refuses the options that the choice decides."""
+    if tolerance is None:
+        return None
+    refuse(context, (*held, *("solver",) * (solver != "auto")), "`--tolerance`, which chooses the solver")
+    return tolerance_of(tolerance)
+
+
+def chosen_for(skies: Iterable[tuple[Atmosphere, Scene]], allowed: float) -> Choice:
+    """One choice for several skies with all their constituents: the dearest, which the others need no more than.
+
+    The sphere where any of them needs it; the error to expect is the largest of all.
+    """
+    choices = [choose(air, scene, allowed, keep_all=True) for air, scene in skies]
+    spheres = [choice for choice in choices if isinstance(choice.solver, Spherical)]
+    one = max(spheres or choices, key=lambda choice: choice.seconds)
+    return one._replace(
+        expected_error=max(choice.expected_error for choice in choices), met=all(choice.met for choice in choices)
+    )
+
+
+def scenes_of(sky: Sky, atmosphere: Atmosphere, response: Response | None) -> list[Scene]:
+    """A scene of each time, at the wavelengths of the sky, or of its channels' spectrum, at which the air is known."""
+    seen = response or sky.response
+    nm = sky.wavelength_nm if seen is None else seen.spectrum(sky.wavelength_nm)
+    parts = [part for c in atmosphere.constituents for part in (c, c.phase) if part is not None]
+    for low, high in (part.known_nm for part in parts):
+        nm = nm[(nm >= low) & (nm <= high)]
+    found = []
+    for t in range(len(sky.time)):
+        view = np.stack([sky.view_zenith[t], sky.view_azimuth[t]])
+        view = Directions(*view[:, np.isfinite(view[0])])
+        found.append(Scene(*sky.sun_at(t), view, nm, np.ones(nm.size)))
+    return found
+
+
+def print_choice(choice: Choice, allowed: float) -> None:
+    """Why this solver, and the error to expect of it."""
+    for reason in choice.reasons:
+        console.print(f"  {reason}", highlight=False, markup=False, soft_wrap=True)
+    more = "" if choice.met else f", where {100.0 * allowed:.2g} % was asked for"
+    console.print(f"error to expect: {100.0 * choice.expected_error:.2g} % at most{more}", highlight=False)
