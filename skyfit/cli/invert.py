@@ -24,9 +24,10 @@ from .asked_of_pictures import (
 )
 from .known import PARAMETER_NAMES, THRESHOLD
 from .options import (
-    app,
     AtmosphereOption,
     check_folder,
+    command,
+    end,
     GeometryName,
     GeometryOption,
     in_range,
@@ -56,7 +57,7 @@ _GROUPS = 10
 _WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 
 
-@app.command("invert", epilog="Example: skyfit invert scan.nc --out fit --prior ozone=310,15")
+@command("invert", "skyfit invert scan.nc --out fit --prior ozone=310,15")
 def invert_command(
     sky: Annotated[
         Path, typer.Argument(help="of an instrument, NetCDF, CSV, a folder of ASD text exports, or a picture")
@@ -114,7 +115,10 @@ def invert_command(
     channels, where no option says otherwise. The command computes in float64; Python in the precision of its process,
     float32 where nobody asks for more. The search begins at the atmosphere of a file, where one is given, and what is
     not fitted stays what it is there, ozone and pressure too.
+
+    Exit code 3 if a search did not come to its end: the files are written, and the table says which.
     """
+    import json
     from math import radians
 
     import jax
@@ -126,8 +130,8 @@ def invert_command(
     from ..retrieve import aerosol_products, invert
     from .asked import free_of, priors_of, response_of, samples_of, shared_of, smooth_of, start_of, values_of_fix
     from .fit_report import print_fit
-    from .models import atmosphere_of, make_solver
-    from .printing import console, progress
+    from .models import atmosphere_of, in_words, make_solver
+    from .printing import give, progress, say, written
 
     smoothed = smooth_of(smooth or [])
     view = radians(in_range("--field-of-view", field_of_view, 0.0, _WIDEST_VIEW))
@@ -162,7 +166,8 @@ def invert_command(
     first = None if solver == "orders" else make_solver(solver, PresetName.draft, geometry, vector)
     check_folder(out)
     keep_in(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
-    with progress("compiling and fitting") as report:
+    kind, size = f"invert, {in_words(last)}", f"{measured.radiance.shape}, {', '.join(names)}; {', '.join(common)}"
+    with progress("fitting", kind, size) as report:
         fit = invert(
             measured, asked, last, start, progress=report, shared=common, measurement=measurement, response=channels,
             priors=priors, smooth=smoothed, draft=first, starts=starts, jackknife=_GROUPS if jackknife else 0,
@@ -182,12 +187,13 @@ def invert_command(
     print_fit(fit)
     if panorama is not None:
         for sentence in (told_of_place(panorama, fit, placed), told_of_haze(fit)):
-            console.print(sentence, highlight=False)
-    written = ", ".join(str(out / name) for name in names)
-    console.print(f"written: {written}", highlight=False)
+            say(sentence)
+    written(out / name for name in names)
+    give(json.loads((out / "fit.json").read_text(encoding="utf-8")))
+    end(fit.result)
 
 
-@app.command("predict", epilog="Example: skyfit predict fit/fit.json --at other.nc --out predicted.nc")
+@command("predict", "skyfit predict fit/fit.json --at other.nc --out predicted.nc")
 def predict_command(
     fit: Annotated[Path, typer.Argument(help="fit.json of skyfit invert")],
     at: Annotated[Path, typer.Option(help="a sky whose times, directions and wavelengths are wanted")],
@@ -200,11 +206,13 @@ def predict_command(
     """Predict the radiance of fitted skies in other directions or at other wavelengths."""
     from ..records import load, write_prediction
     from ..retrieve import predict
-    from .printing import console, progress
+    from .models import in_words
+    from .printing import give, progress, say
 
     fitted = load(fit)
     sky = read_asked(at, latitude, longitude, utc_offset, altitude, None)
-    with progress("predicting"):
+    with progress("predicting", f"predict, {in_words(fitted.solver)}", str(sky.radiance.shape)):
         radiance = predict(fitted, sky)
     write_prediction(sky, radiance, out)
-    console.print(f"{out}: {' x '.join(map(str, radiance.shape))} (time, direction, wavelength)", highlight=False)
+    say(f"{out}: {' x '.join(map(str, radiance.shape))} (time, direction, wavelength)")
+    give({"file": str(out), **dict(zip(("times", "directions", "wavelengths"), radiance.shape, strict=True))})

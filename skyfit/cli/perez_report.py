@@ -1,8 +1,12 @@
-"""What `skyfit perez` prints, at 80 columns."""
+"""What `skyfit perez` says of its fits: a print at 80 columns, and the table of the file for programs."""
+
+import csv
+import math
+from pathlib import Path
 
 from ..analytic.perez_of_sky import SkyPerez
 from ..measured import time_names
-from .printing import console, table
+from .printing import note, show, table
 
 
 def print_perez(found: SkyPerez) -> None:
@@ -18,12 +22,25 @@ def print_perez(found: SkyPerez) -> None:
                 for value, sigma in zip(found.coefficients[t, k], found.sigma[t, k], strict=True)
             ]
             rows.add_row(time, *([] if name else [light]), *cells, f"{found.rmse[t, k]:.1%}")
-    console.print(rows, highlight=False)
-    for note in found.sky.notes:
-        console.print(f"note: {note}", highlight=False, markup=False)
+    show(rows)
+    for sentence in found.sky.notes:
+        note(sentence)
     open_ends = int((~found.settled).sum())
     if open_ends:
-        console.print(
-            f"{open_ends} of {found.settled.size} fits are not to be used: too few directions, or no minimum in bounds",
-            highlight=False,
+        note(
+            f"{open_ends} of {found.settled.size} fits are not to be used: too few directions, or no minimum in bounds"
         )
+
+
+def record_of(path: Path) -> dict:
+    """The rows of the file that was written; what is not finite is null."""
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    return {"file": str(path), "fits": [{name: _value(name, text) for name, text in row.items()} for row in rows]}
+
+
+def _value(name: str, text: str) -> str | float | None:
+    if name in ("time", "light"):
+        return text
+    number = float(text)
+    return number if math.isfinite(number) else None

@@ -11,9 +11,10 @@ import typer
 from .known import SEA_LEVEL_PRESSURE
 from .options import (
     AngstromExponent,
-    app,
     AtmosphereOption,
     check_folder,
+    command,
+    end,
     GeometryName,
     GeometryOption,
     GroundAlbedo,
@@ -52,7 +53,7 @@ class HazeName(StrEnum):
 _OUT_FILES = ("coefficients.json", "errors.png", "skies.png")
 
 
-@app.command("refit", epilog="Example: skyfit refit --out refit --form extended")
+@command("refit", "skyfit refit --out refit --form extended")
 def refit_command(
     context: typer.Context,
     out: OutFolder,
@@ -86,12 +87,14 @@ def refit_command(
 
     Exit code 3 if the fit did not come to its end: the files are written, and the report names what did not.
     """
+    import json
+
     from ..analytic import refit
     from ..atmosphere import describe, HenyeyGreenstein, Tabulated, turbidity_to_optical_depth
     from ..draw import plot_refit
     from ..records import write_coefficients
-    from .models import atmosphere_of, make_atmosphere, make_solver
-    from .printing import console, progress
+    from .models import atmosphere_of, in_words, make_atmosphere, make_solver
+    from .printing import give, progress, written
     from .refit_report import draw_skies, print_refit
 
     in_range("--directions", directions, 20, 100000)
@@ -112,9 +115,10 @@ def refit_command(
         by_depth = _by_depth(air, atmosphere)
         given = {name: value for name, value in given.items() if name not in held} | {"atmosphere": describe(air)}
     check_folder(out)
-    with progress("simulating skies and fitting") as report:
+    chosen = make_solver(solver, preset, geometry)
+    with progress("simulating skies and fitting", f"refit {form.value}, {in_words(chosen)}", str(directions)) as report:
         result = refit(
-            make_solver(solver, preset, geometry), lambda turbidity: by_depth(turbidity_to_optical_depth(turbidity)),
+            chosen, lambda turbidity: by_depth(turbidity_to_optical_depth(turbidity)),
             directions=directions, form=form.value, flat_below_deg=flat_below, progress=report,
         )  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
@@ -123,9 +127,9 @@ def refit_command(
     plot_refit(result, errors)
     draw_skies(result, skies, form.value)
     print_refit(result)
-    console.print(f"written: {coefficients}, {errors}, {skies}", highlight=False)
-    if any(word != "successful" for word in result.result.values()):
-        raise typer.Exit(3)
+    written([coefficients, errors, skies])
+    give(json.loads(coefficients.read_text(encoding="utf-8")))
+    end(result.result.values())
 
 
 def _by_depth(air: "Atmosphere", path: Path) -> Callable:

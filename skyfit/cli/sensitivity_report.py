@@ -8,7 +8,7 @@ from ..measured import Sky, time_names
 from ..retrieve import PARAMETERS
 from ..retrieve.result import is_determined
 from ..scene import Directions
-from .printing import console, table
+from .printing import say, show, table
 
 
 def prior_sigmas(names: tuple[str, ...], given: Mapping[str, tuple[float, float] | None]) -> np.ndarray:
@@ -67,6 +67,6 @@ def print_sensitivity(record: dict) -> None:
         later = following[-1]["sigma"][name]
         sigmas = ("open" if sigma is None else f"{sigma:.3g}" for sigma in (one["sigma"], later))
         rows.add_row(name, f"{one['value']:.4g}", *sigmas, one["unit"], "" if one["determined"] else "not determined")
-    console.print(rows, highlight=False)
+    show(rows)
     places = ", ".join(f"{one['view_zenith']:.0f}/{one['view_azimuth']:.0f}" for one in following)
-    console.print(f"next, zenith angle/azimuth in degrees: {places}", highlight=False)
+    say(f"next, zenith angle/azimuth in degrees: {places}")
