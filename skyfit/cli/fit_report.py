@@ -10,6 +10,7 @@ from ..retrieve import aerosol_optics, Fit, PARAMETERS
 from ..retrieve.components import KINDS
 from .models import in_words
 from .printing import console, note, say, show, table
+from .sky_report import short_times
 
 
 # characters between two columns of a table
@@ -41,7 +42,7 @@ def print_fit(fit: Fit) -> None:
 
 
 def _print_skies(fit: Fit) -> None:
-    day, names = _times(fit)
+    day, names = short_times(fit.sky)
     skies = table(f"{fit.sky.source}: {len(names)} {'sky' if len(names) == 1 else 'skies'}{day and f', {day}'}")
     factor, unit = (1e3, _UNIT) if fit.response is None else (1.0, "in the unit of the channels")
     error = "RMSE mW" if fit.response is None else "RMSE"
@@ -57,15 +58,6 @@ def _print_skies(fit: Fit) -> None:
         )  # fmt: skip
     show(skies)
     say(f"RMSE over all: {factor * fit.total_rmse:.2f} {unit} ({int(fit.used.sum())} samples)")
-
-
-def _times(fit: Fit) -> tuple[str, list[str]]:
-    """The day, if all times are of one, and each time as short as that allows."""
-    names = [name.replace("T", " ").removesuffix(":00Z") for name in time_names(fit.sky)]
-    day = names[0].partition(" ")[0]
-    if np.isnat(fit.sky.time).any() or not all(name.startswith(f"{day} ") for name in names):
-        return "", names
-    return day, [name.removeprefix(f"{day} ") for name in names]
 
 
 def _print_parameters(fit: Fit, t: int, places: list[int], title: str) -> None:
@@ -93,7 +85,7 @@ def _print_parameters(fit: Fit, t: int, places: list[int], title: str) -> None:
 
 def _print_compact(fit: Fit, places: list[int]) -> bool:
     """One row a time; False, and nothing printed, where that is too wide."""
-    _, names = _times(fit)
+    _, names = short_times(fit.sky)
     headings = [_heading(fit.free[p]) for p in places]
     rows = [[_cell(fit, t, p) for p in places] for t in range(len(names))]
     widths = [max(map(len, ("time", *names)))]
@@ -138,7 +130,7 @@ def _cell(fit: Fit, t: int, p: int) -> str:
 
 def _open_ends(fit: Fit):
     """What the data leave open, each sentence once with the times it holds for."""
-    (_, names), times = _times(fit), {}
+    (_, names), times = short_times(fit.sky), {}
     for t, sentences in enumerate(fit.undetermined):
         for sentence in sentences:
             times.setdefault(sentence, []).append(t)
@@ -222,7 +214,7 @@ def _doubts(fit: Fit):
 
 def _rejected(fit: Fit):
     sky = fit.sky
-    for t, name in enumerate(_times(fit)[1]):
+    for t, name in enumerate(short_times(fit.sky)[1]):
         where = np.flatnonzero(fit.rejected[t])
         if not where.size:
             continue

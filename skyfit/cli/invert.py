@@ -131,7 +131,7 @@ def invert_command(
     from .asked import free_of, priors_of, response_of, samples_of, shared_of, smooth_of, start_of, values_of_fix
     from .fit_report import print_fit
     from .models import atmosphere_of, in_words, make_solver
-    from .printing import give, progress, say, written
+    from .printing import give, progress, say, warn, written
 
     smoothed = smooth_of(smooth or [])
     view = radians(in_range("--field-of-view", field_of_view, 0.0, _WIDEST_VIEW))
@@ -166,17 +166,21 @@ def invert_command(
     first = None if solver == "orders" else make_solver(solver, PresetName.draft, geometry, vector)
     check_folder(out)
     keep_in(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
-    kind, size = f"invert, {in_words(last)}", f"{measured.radiance.shape}, {', '.join(names)}; {', '.join(common)}"
-    with progress("fitting", kind, size) as report:
+    size = f"{measured.radiance.shape}, {', '.join(names)}; {', '.join(common)}; {starts} starts, jackknife {jackknife}"
+    with progress("fitting", f"invert, {in_words(last)}", size) as report:
         fit = invert(
             measured, asked, last, start, progress=report, shared=common, measurement=measurement, response=channels,
             priors=priors, smooth=smoothed, draft=first, starts=starts, jackknife=_GROUPS if jackknife else 0,
         )  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
-    save(fit, out / "fit.json")
-    save(fit, out / "fit.nc")
-    plot(fit, out / "fit.png")
-    names = ["fit.json", "fit.nc", "fit.png"]
+    names = []
+    for write, name in ((save, "fit.json"), (save, "fit.nc"), (plot, "fit.png")):
+        # the numbers are there without an extra
+        try:
+            write(fit, out / name)
+            names.append(name)
+        except ModuleNotFoundError as error:
+            warn(f"no {name}: {error}")
     if products:
         stated = aerosol_products(fit)
         for name in ("aerosol.nc", "aerosol.csv"):

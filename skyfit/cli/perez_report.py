@@ -5,17 +5,18 @@ import math
 from pathlib import Path
 
 from ..analytic.perez_of_sky import SkyPerez
-from ..measured import time_names
 from .printing import note, show, table
+from .sky_report import short_times
 
 
 def print_perez(found: SkyPerez) -> None:
     """A row for each time and kind of light, then what a user should know of the sky and of what did not settle."""
     name = f"{found.light[0]} of " if len(found.light) == 1 else ""
-    rows = table(f"Perez' parameters of the {name}{found.sky.source}, +- sigma")
+    day, names = short_times(found.sky)
+    rows = table(f"Perez' parameters of the {name}{found.sky.source}{day and f', {day}'}, +- sigma")
     for head in ("time", *([] if name else ["light"]), "A", "B", "C", "D", "E", "rmse"):
         rows.add_column(head, justify="left" if head in ("time", "light") else "right")
-    for t, time in enumerate(time_names(found.sky)):
+    for t, time in enumerate(names):
         for k, light in enumerate(found.light):
             cells = [
                 f"{value:.3g}\n+-{sigma:.2g}"

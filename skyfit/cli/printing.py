@@ -66,8 +66,10 @@ def show(rows: Table) -> None:
     title, rows.title = rows.title, None
     say(str(title))
     for column in rows.columns:
-        words = f"{column.header} {' '.join(map(str, column.cells))}".split()
-        column.min_width = max(map(len, words), default=0)
+        cells = [str(cell) for cell in (column.header, *column.cells)]
+        column.min_width = max(len(word) for cell in cells for word in ("", *cell.split()))
+        # what cannot end its lines elsewhere is not what has to give way
+        column.no_wrap = column.min_width == max(len(line) for cell in cells for line in ("", *cell.splitlines()))
     console.print(rows, markup=False, crop=False)
     console.print()
 

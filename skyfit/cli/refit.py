@@ -92,6 +92,7 @@ def refit_command(
     from ..analytic import refit
     from ..atmosphere import describe, HenyeyGreenstein, Tabulated, turbidity_to_optical_depth
     from ..draw import plot_refit
+    from ..extras import require
     from ..records import write_coefficients
     from .models import atmosphere_of, in_words, make_atmosphere, make_solver
     from .printing import give, progress, written
@@ -115,6 +116,7 @@ def refit_command(
         by_depth = _by_depth(air, atmosphere)
         given = {name: value for name, value in given.items() if name not in held} | {"atmosphere": describe(air)}
     check_folder(out)
+    require("matplotlib")
     chosen = make_solver(solver, preset, geometry)
     with progress("simulating skies and fitting", f"refit {form.value}, {in_words(chosen)}", str(directions)) as report:
         result = refit(

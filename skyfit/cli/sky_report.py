@@ -41,6 +41,15 @@ def record_of(sky: Sky, path: Path) -> dict:
     }  # fmt: skip
 
 
+def short_times(sky: Sky) -> tuple[str, list[str]]:
+    """The day, if all times are of one, and each time as short as that allows."""
+    names = [name.replace("T", " ").removesuffix(":00Z") for name in time_names(sky)]
+    day = names[0].partition(" ")[0]
+    if np.isnat(sky.time).any() or not all(name.startswith(f"{day} ") for name in names):
+        return "", names
+    return day, [name.removeprefix(f"{day} ") for name in names]
+
+
 def _understood(sky: Sky) -> Iterator[tuple[str, str]]:
     yield "station", _station(sky)
     yield "times", _times(sky)

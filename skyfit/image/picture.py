@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..extras import require
 from ..light import srgb_from_linear
 from ..measured import atomic
 from ..numerics import check_range
@@ -177,11 +178,12 @@ def check_saving(
     space: Space = "srgb",
     half: bool = False,
 ) -> None:
-    """A `ValueError` for what `Image.save` cannot do with a path of this suffix; arguments as it has them."""
+    """An error for what `Image.save` cannot do with a path of this suffix, or here; arguments as it has them."""
     if path.suffix not in (".exr", ".hdr", ".png"):
         raise ValueError(f"`path` must end in .exr, .hdr or .png, got {path}")
     if path.suffix != ".exr" and (space != "srgb" or half):
         raise ValueError(f"`space` and `half` are of an .exr, got them for {path}")
+    require("OpenImageIO")
     check_range("exposure", exposure, *_EXPOSURES)
     check_range("white_balance", white_balance, *_DAYLIGHTS, "K")
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from ..extras import require
 from ..measured import atomic, NoiseModel, Response, Sky, STATION_RANGES
 from ..measured.readers.dataset import load_dataset
 from ..measured.units import RADIANCE
@@ -226,6 +227,7 @@ def _kept(parts: Path) -> list[dict[str, np.ndarray]]:
 
 
 def _write(fits: Fits, file: Path) -> None:
+    require("xarray", "h5netcdf")
     import xarray
 
     variables = {}

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..extras import require
 from ..measured import atomic
 
 
@@ -27,6 +28,7 @@ def write_products(products: "xarray.Dataset", path: str | os.PathLike) -> None:
         raise ValueError(f"{path.name}: expected a suffix of .nc or .csv, found {path.suffix!r}")
     with atomic(path) as part:
         if path.suffix == ".nc":
+            require("h5netcdf")
             products.to_netcdf(part, engine="h5netcdf")
         else:
             part.write_text(_table(products), encoding="utf-8")

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from ...atmosphere import describe
+from ...extras import require
 from ...measured import atomic, Sky, STATION_RANGES, write_sky
 from ...measured.units import RADIANCE
 from ...measured.writers import axes, degrees, write_netcdf
@@ -210,6 +211,7 @@ def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) ->
 
 
 def _write_field(fit: Fit, part: Path) -> None:
+    require("xarray", "h5netcdf")
     import xarray
 
     everywhere, fitted = axes(fit.sky), ("time", "direction", "fitted_wavelength")
