@@ -103,7 +103,7 @@ def test_every_command_speaks_to_scripts_and_can_be_quiet(python, tmp_path):
     assert documents["simulate"]["made_by"]["solver"]["name"] == "SingleScattering"
     assert documents["convert"]["usable"] == documents["predict"]["directions"] * 3
     rows = documents["perez"]["fits"]
-    assert rows[0]["time"] == "time 0" and all(isinstance(row["A_sigma"], float) for row in rows)
+    assert rows[0]["time"] == "time 0" and all(isinstance(row["rmse"], float) for row in rows)
     assert documents["export"]["file"] == "sky.h" and documents["render"]["pictures"][0]["file"] == "a.hdr"
     quiet, plain, refusal = said[-3:]
     assert json.loads(quiet[1])["file"] == "sky.nc" and quiet[2] == "" and "written: sky.nc" in plain[1]

@@ -61,12 +61,14 @@ def print_sensitivity(record: dict) -> None:
     following = record["next"]
     title = f"{record['scan']}, sun zenith {record['sun_zenith']:.1f} degrees, {record['directions']} directions"
     rows = table(f"{title}, {len(record['wavelength_nm'])} wavelengths with {record['relative_noise']:.1%} noise")
-    for head in ("parameter", "value", "sigma", f"with {len(following)} more", "unit", ""):
+    for head in ("parameter", "value", "sigma", f"with {len(following)} more", "unit"):
         rows.add_column(head, justify="right" if head in ("value", "sigma") or head.startswith("with") else "left")
     for name, one in record["parameters"].items():
         later = following[-1]["sigma"][name]
         sigmas = ("open" if sigma is None else f"{sigma:.3g}" for sigma in (one["sigma"], later))
-        rows.add_row(name, f"{one['value']:.4g}", *sigmas, one["unit"], "" if one["determined"] else "not determined")
+        rows.add_row(name, f"{one['value']:.4g}{'' if one['determined'] else '?'}", *sigmas, one["unit"])
     show(rows)
+    if not all(one["determined"] for one in record["parameters"].values()):
+        say("? not determined")
     places = ", ".join(f"{one['view_zenith']:.0f}/{one['view_azimuth']:.0f}" for one in following)
     say(f"next, zenith angle/azimuth in degrees: {places}")

@@ -1,5 +1,6 @@
 """From spectral radiance to what an eye and a screen make of it."""
 
+import warnings
 from functools import lru_cache
 
 import jax.numpy as jnp
@@ -164,7 +165,10 @@ def observer_weights(
 
 @lru_cache(maxsize=1)
 def _observer():
-    import colour
+    # without matplotlib it warns of its plots, for which nobody asked
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import colour
 
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     return np.array(observer.wavelengths), np.array(observer.values)
