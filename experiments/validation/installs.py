@@ -87,6 +87,7 @@ def tried(python: str, built: Path, extra: str, which: str, folder: Path, cache:
 
 
 def main() -> None:
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=ROOT)
     rows = []
     with tempfile.TemporaryDirectory() as place:
         top = Path(place)
@@ -102,10 +103,8 @@ def main() -> None:
                 # an sdist makes the same wheel, so one suffices
                 row = tried(python, wheel if number else sdist, extra, which, Path(folder), cache)
             rows.append({"python": said, **row})
-            print(json.dumps(rows[-1]), flush=True)
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=ROOT)
-    record = {"commit": commit.stdout.strip(), "size_mb": sizes, "environments": rows}
-    RESULT.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+            record = {"commit": commit.stdout.strip(), "size_mb": sizes, "environments": rows}
+            RESULT.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

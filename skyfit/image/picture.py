@@ -49,6 +49,14 @@ class Image:
 
     `camera` says which way its pixels look; `lamp` is the sun, whether the picture has it or not; `made_by`, the solver
     or the formula.
+
+    **Example:**
+
+        >>> camera = skyfit.Camera("equirect", 64, 32)
+        >>> picture = skyfit.render(skyfit.Preetham.published(), camera, turbidity=3.0, sun_zenith=0.9)
+        >>> picture.rgb().shape
+        (32, 64, 3)
+        >>> picture.save("sky.exr")
     """
 
     xyz: Float[np.ndarray, "row column 3"]
