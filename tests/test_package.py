@@ -150,7 +150,8 @@ for words in (
         main()
     except SystemExit as end:
         print("code", end.code)
-assert not {name for name in extra if sys.modules.get(name) is not None}
+# colour-science puts an empty module in the place of matplotlib
+assert not {name for name in extra if sys.modules.get(name) is not None} - {"matplotlib"}
 """
 
 
