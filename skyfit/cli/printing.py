@@ -81,7 +81,9 @@ def progress(title: str, kind: str = "", size: str = ""):
     `kind` of call and `size` of it, in words that are the same where the same programs are run; "" tells of no time.
     """
     columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+    # a file gets no bar, nor the empty line that would end it
+    hidden = console.quiet or not notices.is_terminal
     with waiting(kind, size) as told:
-        with Progress(*columns, console=notices, transient=True, disable=console.quiet) as bar:
+        with Progress(*columns, console=notices, transient=True, disable=hidden) as bar:
             task = bar.add_task(f"{title}{told}", total=None)
             yield lambda done, of: bar.update(task, completed=done, total=of)

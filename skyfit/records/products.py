@@ -22,6 +22,15 @@ def write_products(products: "xarray.Dataset", path: str | os.PathLike) -> None:
     The columns are time (UTC), quantity, wavelength_nm, radius_um, value, sigma (inf: not determined) and unit; what a
     quantity does not depend on is empty. **Errors:** `ValueError` for another suffix, and where nothing can be written,
     in which case an older file stays.
+
+    **Example:**
+
+        >>> sky = skyfit.read("data/skies/sample.nc")
+        >>> fit = skyfit.invert(sky, ["turbidity"], skyfit.SingleScattering.draft("flat"))
+        >>> skyfit.write_products(skyfit.aerosol_products(fit), "aerosol.csv")
+        >>> from pathlib import Path
+        >>> Path("aerosol.csv").read_text().split(",")[:3]
+        ['time', 'quantity', 'wavelength_nm']
     """
     path = Path(path)
     if path.suffix not in (".nc", ".csv"):

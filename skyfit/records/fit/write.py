@@ -182,6 +182,14 @@ def save(fit: Fit, path: str | os.PathLike) -> None:
     **Arguments:** `fit`, from `skyfit.invert`; `path`, `*.json` for parameters and uncertainties (`load`
     reads it back) or `*.nc` for the measured, fitted and residual radiance and the samples' weights.
     **Valid:** any other suffix is a `ValueError`; a failure leaves no file and keeps an old one.
+
+    **Example:**
+
+        >>> sky = skyfit.read("data/skies/sample.nc")
+        >>> fit = skyfit.invert(sky, ["turbidity"], skyfit.SingleScattering.draft("flat"))
+        >>> skyfit.save(fit, "fit.json")
+        >>> skyfit.load("fit.json").models[0].atmosphere.names
+        ('rayleigh', 'aerosol', 'ozone')
     """
     target = Path(path)
     writer = {".json": _write_json, ".nc": _write_field}.get(target.suffix.lower())
