@@ -381,6 +381,19 @@ def test_what_is_printed_of_many_parameters_and_of_poor_ones(capsys):
     assert printed.count("jackknife") == len(fit.sky.time)
 
 
+def test_no_table_of_a_fit_breaks_a_word(capsys):
+    """The longest names there are, with a sigma of each kind, at their bounds."""
+    fit = fit_of_made_sky()
+    longest = sorted(PARAMETERS, key=len)[-8:]
+    shape = (len(fit.sky.time), len(longest))
+    wide = {name: np.full(shape, 0.0012345) for name in ("values", "sigma", "model_sigma", "jackknife_sigma")}
+    flags = {"at_bound": np.full(shape, True), "determined": np.full(shape, False)}
+    covariance = np.full((*shape, len(longest)), 1e-6)
+    print_fit(replace(fit, free=tuple(longest), shared=(), covariance=covariance, **wide, **flags))
+    printed = capsys.readouterr().out
+    assert {*longest, "0.0012345!?", "jackknife", "successful"} <= {*printed.split()} and narrow(printed)
+
+
 def test_lobes_that_are_known_together_alone_are_shown_by_their_mean(capsys):
     """Two lobes over haze of one: none of the three numbers is determined, their mean cosine is to 0.001."""
     fit = fit_of_made_sky()

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import venv
 from pathlib import Path
 
@@ -17,7 +18,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 # a floor imports only from the floors under it; what shares a line imports nothing from its neighbour
 FLOORS = (
-    {"tables", "numerics"},
+    {"extras", "tables", "numerics"},
     {"light"},
     {"scene"},
     {"atmosphere"},
@@ -111,6 +112,61 @@ def test_the_import_is_light(tmp_path: Path):
     modules = loaded(every, tmp_path)
     assert {"skyfit.transport", "skyfit.retrieve", "skyfit.draw"} <= modules
     assert not roots(modules) & set(HEAVY)
+
+
+BASE = """
+import json, sys
+extra = json.loads(sys.argv[1])
+# as if they were not installed
+sys.modules |= dict.fromkeys(extra)
+import numpy as np
+import skyfit
+from skyfit.cli import main
+sky = skyfit.Sky(
+    np.ones((1, 2, 2)), None, np.ones((1, 2, 2), bool), np.zeros(2), np.zeros(2), np.array([450.0, 550.0]),
+    np.array([0.9]), np.array([3.0]), np.array(["NaT"], "datetime64[ns]"),
+)
+model, camera = skyfit.Preetham.published(), skyfit.Camera("equirect", 16, 8)
+refused = {
+    "h5netcdf": lambda: skyfit.write_sky(sky, "sky.nc"),
+    "pvlib": lambda: skyfit.measured.solar_position(np.array(["2020-06-01"], "datetime64[ns]"), 50.0, 7.0),
+    "matplotlib": lambda: skyfit.draw.plot_contact_sheet(["a.png"], ["a"], "sheet.png"),
+    "OpenImageIO": lambda: skyfit.render(model, camera, turbidity=3.0, sun_zenith=0.9).save("sky.png"),
+}
+for module, call in refused.items():
+    try:
+        call()
+    except ModuleNotFoundError as error:
+        assert module in str(error) and str(error).endswith("pip install 'skyfit[all]'"), error
+    else:
+        raise AssertionError(module)
+for words in (
+    "simulate --sun-zenith 60 --turbidity 3 --solver single --geometry flat --wavelengths 450,550,650 --out sky.csv",
+    "invert sky.csv --solver single --geometry flat --preset draft --free turbidity --out fit",
+    "simulate --sun-zenith 60 --turbidity 3 --solver single --out sky.nc",
+):
+    sys.argv[1:] = words.split()
+    try:
+        main()
+    except SystemExit as end:
+        print("code", end.code)
+# colour-science puts an empty module in the place of matplotlib
+assert not {name for name in extra if sys.modules.get(name) is not None} - {"matplotlib"}
+"""
+
+
+def test_a_fit_of_a_table_needs_no_extra(python, tmp_path: Path):
+    """With all of the extra blocked: what needs it says so in a line, the numbers of a fit are there."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extra = [re.split("[>=]", line)[0] for line in project["optional-dependencies"]["all"]]
+    done = python(BASE, json.dumps(extra), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    fit = json.loads((tmp_path / "fit/fit.json").read_text())
+    assert fit["times"][0]["parameters"]["turbidity"]["value"] == pytest.approx(3.0, abs=0.01)
+    notes = done.stderr.splitlines()
+    assert [line.partition(":")[0] for line in notes] == ["note", "note", "skyfit"], notes
+    assert "no fit.nc: xarray and h5netcdf must be there" in notes[0] and "no fit.png: matplotlib" in notes[1]
+    assert done.stdout.endswith("code 2\n") and not (tmp_path / "sky.nc").exists()
 
 
 def roots(modules: set[str]) -> set[str]:

@@ -32,6 +32,12 @@ class CIEClear(AbstractAnalyticSky):
 
     **Valid:** `valid`; the formula goes on beyond, finite. **Source:** Kittler 1967, CIE 110-1994; Preetham 1999,
     eq. 1. The zenith: `zenith`.
+
+    **Example:**
+
+        >>> scene = skyfit.Scene.from_degrees(60, skyfit.hemisphere(20), [450, 550, 650])
+        >>> skyfit.CIEClear().radiance(3.0, scene).shape
+        (20, 3)
     """
 
     def perez(self, turbidity: Float[ArrayLike, ""], theta_sun: Float[ArrayLike, ""]) -> tuple[Perez, Perez, Perez]:
@@ -103,6 +109,12 @@ def overcast_luminance(
     **Returns:** cd m^-2, `[direction]`; the horizontal illuminance is $\frac{7\pi}{9} Y_z$.
     **Valid:** views above the horizon; below it the horizon's value. Zenith: `overcast_zenith_luminance`.
     **Source:** Moon & Spencer 1942, CIE 110-1994; Preetham 1999, eq. 2.
+
+    **Example:**
+
+        >>> horizon, zenith = skyfit.overcast_luminance(0.8, np.radians([90.0, 0.0]))
+        >>> round(float(zenith / horizon), 3)
+        3.0
     """
     check_radians("theta", theta, 0.0, math.pi)
     gradation = (1.0 + 2.0 * jnp.maximum(jnp.cos(theta), 0.0)) / 3.0
@@ -120,6 +132,11 @@ class Intermediate(Ranged):
     the second the overcast one alone; the clear sky is not asked for more turbidity than that.
     **Source:** Preetham 1999, sec. 5, which says to interpolate and shows an overcast sky at turbidity 10; its own
     model is fitted to 2 to 6 (sec. 3.2): hence 6 and 10. The weight is a choice of this code.
+
+    **Example:**
+
+        >>> round(float(skyfit.Intermediate(skyfit.CIEClear()).overcast_share(8.0)), 3)
+        0.5
     """
 
     clear: AbstractAnalyticSky

@@ -49,6 +49,13 @@ class Perez(Ranged):
     `horizon_darkening` A: negative brightens the horizon. `horizon_gradient` B: how near the
     horizon that happens, negative. `circumsolar_intensity` C. `circumsolar_width` D, per radian,
     negative: nearer to 0 is wider. `backscatter` E.
+
+    **Example:**
+
+        >>> sky = skyfit.Perez(-1.0, -0.32, 10.0, -3.0, 0.45)
+        >>> toward, away = sky.ratio(np.radians([45.0, 45.0]), np.radians([5.0, 95.0]), np.radians(50.0))
+        >>> bool(toward > 5.0 * away)
+        True
     """
 
     horizon_darkening: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(-_MOST, _MOST))

@@ -105,6 +105,19 @@ def fit_perez(
     the best form has F(0, theta_s) near zero the coefficients are huge; their `Perez.ratio` still is the fit.
     **Errors:** `ValueError` for no sky and for a `start` out of range.
     **Source:** Perez et al. 1993 eq. 1; Marquardt 1963, J. SIAM 11, 431.
+
+    **Example:**
+
+        >>> view, sun = skyfit.hemisphere(60), jnp.array([0.9])
+        >>> gamma = skyfit.scene.angle_between(view.zenith, sun[0], view.azimuth)[None]
+        >>> sky = skyfit.Perez(-1.0, -0.32, 10.0, -3.0, 0.45)
+        >>> light = sky.relative(view.zenith, gamma[0])[None]
+        >>> level = sky.relative(0.0, 0.9)[None]
+        >>> found = skyfit.fit_perez(light, level, view.zenith, gamma, sun, jnp.ones(60))
+        >>> bool(found.converged[0])
+        True
+        >>> bool(np.allclose(found.coefficients[0], [-1.0, -0.32, 10.0, -3.0, 0.45], atol=1e-2))
+        True
     """
     if light.shape[0] == 0:
         raise ValueError(f"`light` must hold at least one sky, got shape {light.shape}")

@@ -72,6 +72,15 @@ def perez_of_sky(sky: Sky, each: bool = False) -> SkyPerez:
     not fit, residuals are alike over broad parts and sigma is too small. Of several minima the best of four searches
     is taken.
     **Source:** Perez et al. 1993 eq. 1.
+
+    **Example:**
+
+        >>> sky = skyfit.read("data/skies/sample.nc")
+        >>> found = skyfit.perez_of_sky(sky)
+        >>> found.light, found.coefficients.shape
+        (('luminance',), (1, 1, 5))
+        >>> bool(found.settled[0, 0])
+        True
     """
     names, light, usable = _light(sky, each)
     shape = len(sky.time), len(names)

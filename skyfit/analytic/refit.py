@@ -123,6 +123,20 @@ def refit(
     **Errors:** `ValueError` for suns or turbidities that are too few or out of range, for suns that the solver does not
     know, and for skies that it leaves without light.
     **Source:** Preetham 1999, sec. 3.2 and A.2; the relative error is what is minimised.
+
+    **Example:**
+
+        >>> found = skyfit.refit(
+        ...     skyfit.SingleScattering.draft("flat"),
+        ...     sun_zenith_deg=np.array([20.0, 40.0, 60.0, 75.0]),
+        ...     turbidity=np.array([2.0, 4.0, 6.0]),
+        ...     directions=40,
+        ...     held_out=4,
+        ... )
+        >>> sorted(set(found.result.values()))
+        ['successful']
+        >>> found.fitted.overall["refitted"].luminance < found.fitted.overall["published"].luminance
+        True
     """
     shape = {"linear": LINEAR, "extended": EXTENDED}.get(form)
     if shape is None:

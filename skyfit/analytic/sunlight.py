@@ -54,6 +54,14 @@ class Sunlight(Ranged):
     **Source:** Preetham 1999, A.1 and Table 2, after Iqbal 1983 (Leckner 1978). The paper prints the airmass inside
     the exponents of the wavelength ($\lambda^{-4.08 m}$), against Bouguer's law. 300-380 and 780-1100 nm: Bird &
     Riordan 1986, Table 1.
+
+    **Example:**
+
+        >>> scene = skyfit.Scene.from_degrees(60, skyfit.hemisphere(20), [450, 550, 650])
+        >>> sun = skyfit.Sunlight(3.0)
+        >>> blue, green, red = sun.irradiance(scene) / scene.solar_irradiance
+        >>> bool(blue < green < red)
+        True
     """
 
     turbidity: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(_LOWEST_TURBIDITY, 1e4))

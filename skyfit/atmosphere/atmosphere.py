@@ -27,6 +27,13 @@ class Ground(Ranged):
 
     `red_edge`, how much more of the near infrared than of the red it reflects: 0.3 to 0.5 of green vegetation, for
     bare ground 0. `albedo` may also be given per wavelength of the scene, `[wavelength]`.
+
+    **Example:**
+
+        >>> grass = skyfit.Ground(0.1, red_edge=0.4)
+        >>> red, infrared = grass.reflectance(jnp.array([650.0, 800.0]))
+        >>> bool(infrared > 3.0 * red)
+        True
     """
 
     albedo: Float[Array, "*wavelength"] = eqx.field(converter=as_float, default=0.1, metadata=within(0.0, 1.0))

@@ -48,6 +48,14 @@ class Prescribed(AbstractConstituent):
 
     `optical_depth` `[wavelength]`, vertical extinction, >= 0; `single_scattering_albedo` `[wavelength]`
     or a scalar; `phase` (None: absorbs only) and `profile`. Stands in any place of an `Atmosphere`.
+
+    **Example:**
+
+        >>> volcano = skyfit.Prescribed(
+        ...     np.array([0.02, 0.02, 0.01]), skyfit.Exponential(5000.0), skyfit.HenyeyGreenstein(0.7)
+        ... )
+        >>> skyfit.Atmosphere(aerosol=skyfit.Aerosol(0.1), volcano=volcano).names
+        ('rayleigh', 'aerosol', 'ozone', 'volcano')
     """
 
     optical_depth: Float[Array, " wavelength"] = eqx.field(converter=as_float, metadata=within(0.0, 1e4))

@@ -23,6 +23,12 @@ class Droplets(AbstractConstituent):
 
     **Valid:** within the table; other wavelengths are a `ValueError`, traced ones have the end's value.
     **Source:** Klassen 1987, sec. 10 and 11: fog 0.015 to 0.040 m^-1, of uniform density; Q of Mie theory.
+
+    **Example:**
+
+        >>> fog = skyfit.Droplets.fog(0.02, 100.0)
+        >>> round(float(fog.optical_depth_at(jnp.array([550.0]))[0]), 3)
+        2.0
     """
 
     coefficient: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(0.0, 10.0, "per metre"))

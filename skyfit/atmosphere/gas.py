@@ -49,6 +49,13 @@ class Gas(AbstractGas):
 
     **Valid:** within the table, and beyond an end whose value is 0, where the gas does not absorb; other wavelengths
     are a `ValueError`, traced ones have the end's value.
+
+    **Example:**
+
+        >>> band, per_unit = np.array([400.0, 500.0, 600.0]), np.array([1e-3, 2e-3, 0.0])
+        >>> gas = skyfit.Gas(5.0, band, per_unit, skyfit.Exponential(1000.0))
+        >>> round(float(gas.optical_depth_at(450.0)), 4)
+        0.0075
     """
 
     column: Float[Array, ""] = eqx.field(converter=as_float, metadata=within(0.0, 1e30))
@@ -104,6 +111,12 @@ class Ozone(AbstractGas):
     **Source:** Bird & Riordan 1986 (Leckner 1978), as shipped by pvlib; see data/spectrl2_absorption.csv. "preetham":
     Preetham 1999, Table 2, from 380 to 780 nm, where a gap is no absorption; it too is Leckner's and has the rows of
     580 to 680 nm that Bird & Riordan leave out, up to 5 % more; beyond, those of Bird & Riordan.
+
+    **Example:**
+
+        >>> layer = skyfit.Ozone(300.0)
+        >>> bool(layer.optical_depth_at(600.0) > 20.0 * layer.optical_depth_at(450.0))
+        True
     """
 
     column: Float[Array, ""] = eqx.field(converter=as_float, default=300.0, metadata=within(0.0, 1e3, "DU"))

@@ -36,6 +36,12 @@ def hoffman_haze(
     and below one (data/hoffman_haze.csv): the printed -1, -3, -10, -30 are no asymmetry parameters, and the printed
     numerator (1 - g)^2 does not integrate to one.
     **Source:** Hoffman & Preetham 2002, Table 1 and Sunlight.
+
+    **Example:**
+
+        >>> haze = skyfit.hoffman_haze("light haze", np.array([475.0, 570.0, 650.0]))
+        >>> bool(np.all(np.diff(haze.optical_depth) < 0.0))
+        True
     """
     if kind not in _KINDS:
         raise ValueError(f"`kind` must be one of {', '.join(_KINDS)}, got {kind!r}")

@@ -128,6 +128,12 @@ class RayleighPhase(AbstractPhase):
 
     `depolarization` $\rho$ in [0, 1]; 0 gives $3(1+\cos^2\gamma)/16\pi$, the papers' form.
     Source: Chandrasekhar 1950; Bucholtz 1995, Appl. Opt. 34, 2765, eq. 12.
+
+    **Example:**
+
+        >>> aside, ahead = skyfit.RayleighPhase(0.0).at_angle(np.radians([90.0, 0.0]), jnp.array([550.0]))[:, 0]
+        >>> round(float(ahead / aside), 3)
+        2.0
     """
 
     # King factor 1.048 of air at 550 nm (Bodhaine et al. 1999, table 3), as 6 (F - 1) / (7 F + 3)
@@ -199,6 +205,13 @@ class TwoTermHenyeyGreenstein(AbstractPhase):
     `asymmetry` and `asymmetry_second` in [-0.999, 0.999]; `forward_fraction` f at 550 nm in [0, 1] and its slope per
     unit of ln(wavelength / 550 nm): coarse particles scatter forward and hold more of the red than of the blue.
     Source: Irvine 1965, Astrophys. J. 142, 1563; Kattawar 1975. The slope is our own.
+
+    **Example:**
+
+        >>> haze = skyfit.TwoTermHenyeyGreenstein(0.7, -0.3, 0.9)
+        >>> back, aside = haze.at_angle(np.radians([180.0, 110.0]), jnp.array([550.0]))[:, 0]
+        >>> bool(back > aside)
+        True
     """
 
     asymmetry: Float[Array, ""] = eqx.field(converter=as_float, metadata=_ASYMMETRY)
@@ -231,6 +244,12 @@ class CornetteShanks(AbstractPhase):
 
     `asymmetry` here is the parameter g in [-0.999, 0.999], not the mean cosine.
     Source: Cornette & Shanks 1992, Appl. Opt. 31, 3152; Bruneton & Neyret 2008, eq. 4.
+
+    **Example:**
+
+        >>> ahead, back = skyfit.CornetteShanks(0.7).at_angle(np.radians([0.0, 180.0]), jnp.array([550.0]))[:, 0]
+        >>> bool(ahead > 100.0 * back)
+        True
     """
 
     asymmetry: Float[Array, ""] = eqx.field(converter=as_float, metadata=_ASYMMETRY)
@@ -268,6 +287,12 @@ class Tabulated(AbstractPhase):
 
     **Valid:** angles beyond the table have the end's value. Wavelengths beyond it are a `ValueError`, and traced ones
     have the end's value.
+
+    **Example:**
+
+        >>> ahead, aside = skyfit.Tabulated.bullrich().at_angle(np.radians([5.0, 90.0]), jnp.array([550.0]))[:, 0]
+        >>> bool(ahead > 10.0 * aside)
+        True
     """
 
     angle: Float[Array, " angle"] = eqx.field(converter=as_float, metadata=radians_within(0.0, np.pi))

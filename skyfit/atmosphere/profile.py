@@ -35,7 +35,14 @@ class AbstractProfile(Ranged):
 
 
 class Exponential(AbstractProfile):
-    r"""Density falling as $e^{-h/H}$; Preetham 1999, eq. 5 with $\alpha = 1/H$. `scale_height` in m, 10 to 1e6."""
+    r"""Density falling as $e^{-h/H}$; Preetham 1999, eq. 5 with $\alpha = 1/H$. `scale_height` in m, 10 to 1e6.
+
+    **Example:**
+
+        >>> air = skyfit.Exponential(8000.0)
+        >>> round(float(air.density(8000.0) / air.density(0.0)), 3)
+        0.368
+    """
 
     scale_height: Float[Array, ""] = eqx.field(
         converter=as_float, metadata=within(10.0, 1e6, "m", "kilometres times 1000")
@@ -56,6 +63,11 @@ class OzoneLayer(AbstractProfile):
 
     `height` b = 20 km and `thickness` c = 5 km (m here) stand for middle latitudes.
     Source: Lacis & Hansen 1974, J. Atmos. Sci. 31, 118 (their u(h) with a = 0.4 cm, b = 20 km, c = 5 km).
+
+    **Example:**
+
+        >>> round(float(skyfit.OzoneLayer().column_above(20000.0)), 2)
+        0.51
     """
 
     height: Float[Array, ""] = eqx.field(converter=as_float, default=20e3, metadata=within(1.0, 1e5, "m"))
@@ -78,6 +90,12 @@ class Layered(AbstractProfile):
 
     `edges` in m, increasing, one more than `fraction`; the first is the ground (0). Fractions are normalised
     to sum 1. Single scattering has its `nodes` in each layer that scatters, at that cost.
+
+    **Example:**
+
+        >>> haze = skyfit.Layered(np.array([0.0, 1000.0, 3000.0]), np.array([3.0, 1.0]))
+        >>> round(float(haze.column_above(jnp.array([1000.0]))[0]), 3)
+        0.25
     """
 
     edges: Float[Array, " edge"] = eqx.field(converter=as_float, metadata=within(0.0, 1e6, "m"))
@@ -117,6 +135,13 @@ class Levels(AbstractProfile):
     `height` of the levels in m, increasing, the first on the ground; `density_at` them, > 0, in any unit: the column
     is normalised. Nothing lies above the last level. Solvers on a sphere integrate layer by layer, at that cost;
     `SingleScattering.normal` has Elterman's haze to 0.2 %, whose layer aloft the nodes of a smooth view see coarsely.
+
+    **Example:**
+
+        >>> air = skyfit.Levels.us_standard_1976()
+        >>> half = air.column_above(jnp.array([5500.0]))
+        >>> bool(abs(half[0] - 0.5) < 0.01)
+        True
     """
 
     height: Float[Array, " level"] = eqx.field(converter=as_float, metadata=within(0.0, 1e6, "m"))

@@ -11,7 +11,7 @@ from ..scene import Directions, Scene
 from ..transport import Choice, choose, Spherical
 from .models import tolerance_of
 from .options import refuse
-from .printing import console
+from .printing import say
 
 
 def allowed_of(context: typer.Context, solver: str, tolerance: str | None, held: tuple[str, ...]) -> float | None:
@@ -53,6 +53,6 @@ def scenes_of(sky: Sky, atmosphere: Atmosphere, response: Response | None) -> li
 def print_choice(choice: Choice, allowed: float) -> None:
     """Why this solver, and the error to expect of it."""
     for reason in choice.reasons:
-        console.print(f"  {reason}", highlight=False, markup=False, soft_wrap=True)
+        say(f"  {reason}")
     more = "" if choice.met else f", where {100.0 * allowed:.2g} % was asked for"
-    console.print(f"error to expect: {100.0 * choice.expected_error:.2g} % at most{more}", highlight=False)
+    say(f"error to expect: {100.0 * choice.expected_error:.2g} % at most{more}")

@@ -6,10 +6,10 @@ from typing import Annotated
 import typer
 
 from .asked_of_files import Altitude, Latitude, Longitude, ResponseOption, Times, UtcOffset
-from .options import app, LineShape
+from .options import command, LineShape
 
 
-@app.command("convert", epilog="Example: skyfit convert scan.alm --to sky.nc")
+@command("convert", "skyfit convert scan.alm --to sky.nc")
 def convert_command(
     file: Annotated[Path, typer.Argument(help="of an instrument, NetCDF, CSV or a folder of ASD text exports")],
     to: Annotated[Path, typer.Option(help="file to write, .nc or .csv")],
@@ -28,8 +28,8 @@ def convert_command(
     from ..measured import write_sky
     from .asked import response_of, times_of
     from .asked_of_files import read_asked
-    from .printing import console
-    from .sky_report import print_sky
+    from .printing import give, written
+    from .sky_report import print_sky, record_of
 
     if to.suffix not in (".nc", ".csv") or not to.absolute().parent.is_dir():
         raise ValueError(f"`--to` must be a .nc or .csv file in a folder that is there, got {to}")
@@ -38,4 +38,5 @@ def convert_command(
         sky = sky.at_times(times_of(times, sky))
     write_sky(sky, to)
     print_sky(sky)
-    console.print(f"written: {to}", highlight=False, soft_wrap=True)
+    written([to])
+    give(record_of(sky, to))

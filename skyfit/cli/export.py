@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .options import app, check_file, in_range
+from .options import check_file, command, in_range
 
 
 class LanguageName(StrEnum):
@@ -18,7 +18,7 @@ class LanguageName(StrEnum):
     python = "python"
 
 
-@app.command(epilog="Example: skyfit export refit/coefficients.json --to glsl --out sky.glsl")
+@command("export", "skyfit export refit/coefficients.json --to glsl --out sky.glsl")
 def export(
     context: typer.Context,
     sky: Annotated[
@@ -44,7 +44,7 @@ def export(
 
     from ..records import write_evaluator
     from .models import analytic_of
-    from .printing import console
+    from .printing import give, say
 
     # shaders compute in float32
     context.with_resource(jax.enable_x64(False))
@@ -53,4 +53,6 @@ def export(
         highest, lowest = map(math.degrees, model.fitted_sun)
         down = math.radians(in_range("--sun-zenith", sun_zenith, highest, lowest))
     write_evaluator(model, out, to.value, turbidity=turbidity, sun_zenith=down)
-    console.print(f"{out}: {len(out.read_text().splitlines())} lines of {to.value}", highlight=False)
+    lines = len(out.read_text().splitlines())
+    say(f"{out}: {lines} lines of {to.value}")
+    give({"file": str(out), "language": to.value, "lines": lines})

@@ -1,5 +1,7 @@
 """What `skyfit invert` prints of a fit, at 80 columns."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from ..atmosphere import TwoModeAerosol
@@ -7,11 +9,12 @@ from ..measured import time_names
 from ..retrieve import aerosol_optics, Fit, PARAMETERS
 from ..retrieve.components import KINDS
 from .models import in_words
-from .printing import console, table
+from .printing import console, note, say, show, table
+from .sky_report import short_times
 
 
-# columns of the window, and of what stands between two of a table
-_WIDE, _GAP = 80, 1
+# characters between two columns of a table
+_GAP = 2
 # rejected directions of one time that are named
 _MOST_NAMED = 6
 # of a calibration's prior: what lies further is doubted
@@ -31,11 +34,15 @@ def print_fit(fit: Fit) -> None:
         for t, name in enumerate(time_names(fit.sky)):
             _print_parameters(fit, t, own, name)
     for sentence in [*_open_ends(fit), *_about(fit)]:
-        console.print(sentence, highlight=False)
+        say(sentence)
+    for sentence in [*_doubts(fit), *fit.notes]:
+        note(sentence)
+    for reason, count in fit.sky.masked.items():
+        say(f"masked: {count} samples {reason}")
 
 
 def _print_skies(fit: Fit) -> None:
-    day, names = _times(fit)
+    day, names = short_times(fit.sky)
     skies = table(f"{fit.sky.source}: {len(names)} {'sky' if len(names) == 1 else 'skies'}{day and f', {day}'}")
     factor, unit = (1e3, _UNIT) if fit.response is None else (1.0, "in the unit of the channels")
     error = "RMSE mW" if fit.response is None else "RMSE"
@@ -49,65 +56,62 @@ def _print_skies(fit: Fit) -> None:
             name, *angles, f"{factor * fit.rmse[t]:.2f}", chi_square, freedom, f"{fit.steps[t]}",
             fit.result[t],
         )  # fmt: skip
-    console.print(skies)
-    console.print(
-        f"RMSE over all: {factor * fit.total_rmse:.2f} {unit} ({int(fit.used.sum())} samples)", highlight=False
-    )
-
-
-def _times(fit: Fit) -> tuple[str, list[str]]:
-    """The day, if all times are of one, and each time as short as that allows."""
-    names = [name.replace("T", " ").removesuffix(":00Z") for name in time_names(fit.sky)]
-    day = names[0].partition(" ")[0]
-    if np.isnat(fit.sky.time).any() or not all(name.startswith(f"{day} ") for name in names):
-        return "", names
-    return day, [name.removeprefix(f"{day} ") for name in names]
+    show(skies)
+    say(f"RMSE over all: {factor * fit.total_rmse:.2f} {unit} ({int(fit.used.sum())} samples)")
 
 
 def _print_parameters(fit: Fit, t: int, places: list[int], title: str) -> None:
     values = table(title)
     told = np.isfinite(fit.jackknife_sigma[t, places]).any()
     numbers = ("value", "sigma", "by model", *(("jackknife",) if told else ()))
-    for heading in ("parameter", *numbers, "unit", "remarks"):
-        # what is too wide goes on in a second line of the remarks
-        values.add_column(heading, justify="right" if heading in numbers else "left", no_wrap=heading != "remarks")
+    for heading in ("parameter", *numbers, "unit"):
+        values.add_column(heading, justify="right" if heading in numbers else "left")
     lobes = fit.effective_asymmetry(t)
     together = () if lobes is None else lobes.names
     if lobes is not None and any(fit.free[p] in together for p in places):
         shown = (f"{lobes.value:.5g}", f"{lobes.sigma:.2g}", "", "")[: len(numbers)]
-        values.add_row("effective_asymmetry", *shown, "1", "of both lobes")
+        values.add_row("effective_asymmetry", *shown, "1")
     for p in places:
         if fit.free[p] in together:
             continue
-        flags = ["at bound"] * bool(fit.at_bound[t, p]) + ["not determined"] * (not fit.determined[t, p])
         sigmas = (fit.sigma[t, p], fit.model_sigma[t, p], fit.jackknife_sigma[t, p])[: len(numbers) - 1]
-        shown = (f"{fit.values[t, p]:.5g}", *(f"{sigma:.2g}" for sigma in sigmas))
-        values.add_row(fit.free[p], *shown, PARAMETERS[fit.free[p]].unit, ", ".join(flags))
-    console.print(values)
+        shown = (f"{fit.values[t, p]:.5g}{_marks(fit, t, p)}", *(f"{sigma:.2g}" for sigma in sigmas))
+        values.add_row(fit.free[p], *shown, PARAMETERS[fit.free[p]].unit)
+    show(values)
+    if together:
+        say("effective_asymmetry: of both lobes together")
+    _explain(_marks(fit, t, p) for p in places if fit.free[p] not in together)
 
 
 def _print_compact(fit: Fit, places: list[int]) -> bool:
     """One row a time; False, and nothing printed, where that is too wide."""
-    _, names = _times(fit)
+    _, names = short_times(fit.sky)
     headings = [_heading(fit.free[p]) for p in places]
     rows = [[_cell(fit, t, p) for p in places] for t in range(len(names))]
     widths = [max(map(len, ("time", *names)))]
     for column, heading in enumerate(headings):
         widths.append(max(map(len, (*heading.split(), *(row[column] for row in rows)))))
-    if sum(widths) + _GAP * len(widths) > _WIDE:
+    if sum(widths) + _GAP * len(widths) > console.width:
         return False
     values = table("each time")
-    values.add_column("time", justify="right", no_wrap=True)
-    for heading, width in zip(headings, widths[1:], strict=True):
-        values.add_column(heading, justify="right", min_width=width)
+    for heading in ("time", *headings):
+        values.add_column(heading, justify="right")
     for name, row in zip(names, rows, strict=True):
         values.add_row(name, *row)
-    console.print(values)
-    marks = {"!": "at its bound", "?": "not determined"}
-    used = [f"{mark} {text}" for mark, text in marks.items() if any(mark in cell for row in rows for cell in row)]
-    if used:
-        console.print(", ".join(used), highlight=False)
+    show(values)
+    _explain(_marks(fit, t, p) for t in range(len(names)) for p in places)
     return True
+
+
+def _marks(fit: Fit, t: int, p: int) -> str:
+    return "!" * bool(fit.at_bound[t, p]) + "?" * (not fit.determined[t, p])
+
+
+def _explain(marks: Iterable[str]) -> None:
+    """A line for the marks that stand in a table."""
+    used, meaning = "".join(marks), {"!": "at its bound", "?": "not determined"}
+    if used:
+        say(", ".join(f"{mark} {text}" for mark, text in meaning.items() if mark in used))
 
 
 def _heading(name: str) -> str:
@@ -117,7 +121,7 @@ def _heading(name: str) -> str:
 
 def _cell(fit: Fit, t: int, p: int) -> str:
     value, sigma = fit.values[t, p], fit.sigma[t, p]
-    marks = "!" * bool(fit.at_bound[t, p]) + "?" * (not fit.determined[t, p])
+    marks = _marks(fit, t, p)
     if not np.isfinite(sigma) or not 1e-6 < sigma < 1e3:
         return f"{value:.3g}\N{PLUS-MINUS SIGN}{sigma:.1g}{marks}"
     decimals = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 4))
@@ -126,7 +130,7 @@ def _cell(fit: Fit, t: int, p: int) -> str:
 
 def _open_ends(fit: Fit):
     """What the data leave open, each sentence once with the times it holds for."""
-    (_, names), times = _times(fit), {}
+    (_, names), times = short_times(fit.sky), {}
     for t, sentences in enumerate(fit.undetermined):
         for sentence in sentences:
             times.setdefault(sentence, []).append(t)
@@ -166,10 +170,6 @@ def _about(fit: Fit):
         yield f"smooth: {name}, change {logarithm}within an hour +- {sigma:.2g}"
     held = (f"{name} {value:.5g} {PARAMETERS[name].unit}".removesuffix(" 1") for name, value in fit.fixed.items())
     yield f"held fixed: {', '.join(held)}"
-    for note in fit.notes:
-        yield f"note: {note}"
-    for reason, count in fit.sky.masked.items():
-        yield f"masked: {count} samples {reason}"
 
 
 def _haze(fit: Fit):
@@ -200,17 +200,21 @@ def _calibration(fit: Fit):
     if not prior > 0.0:
         return
     yield f"calibration: scale {_span(fit.calibration, '.3f')}, prior {prior:.2g}"
+
+
+def _doubts(fit: Fit):
+    prior = fit.measurement.calibration_prior(fit.sky)
     far = (np.abs(fit.calibration - 1.0) > _FAR * prior).any(axis=0)
-    if far.any():
+    if prior > 0.0 and far.any():
         yield (
-            f"note: the scale is beyond {_FAR:g} times its prior at {int(far.sum())} of {far.size} wavelengths: is the "
+            f"the scale is beyond {_FAR:g} times its prior at {int(far.sum())} of {far.size} wavelengths: is the "
             "prior too narrow, or the model wrong?"
         )
 
 
 def _rejected(fit: Fit):
     sky = fit.sky
-    for t, name in enumerate(_times(fit)[1]):
+    for t, name in enumerate(short_times(fit.sky)[1]):
         where = np.flatnonzero(fit.rejected[t])
         if not where.size:
             continue

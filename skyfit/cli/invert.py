@@ -24,9 +24,10 @@ from .asked_of_pictures import (
 )
 from .known import PARAMETER_NAMES, THRESHOLD
 from .options import (
-    app,
     AtmosphereOption,
     check_folder,
+    command,
+    end,
     GeometryName,
     GeometryOption,
     in_range,
@@ -59,7 +60,7 @@ _CHOICES = 2
 _WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 
 
-@app.command("invert", epilog="Example: skyfit invert scan.nc --out fit --prior ozone=310,15")
+@command("invert", "skyfit invert scan.nc --out fit --prior ozone=310,15")
 def invert_command(
     context: typer.Context,
     sky: Annotated[
@@ -121,7 +122,10 @@ def invert_command(
     not fitted stays what it is there, ozone and pressure too. With a tolerance the solver is chosen for the first guess
     and, where the fitted air asks for another, once more; the error to expect of it is the model error of sigma, unless
     one is given.
+
+    Exit code 3 if a search did not come to its end: the files are written, and the table says which.
     """
+    import json
     from dataclasses import replace
     from math import radians
 
@@ -135,8 +139,8 @@ def invert_command(
     from .asked import free_of, priors_of, response_of, samples_of, shared_of, smooth_of, start_of, values_of_fix
     from .chosen import allowed_of, chosen_for, print_choice, scenes_of
     from .fit_report import print_fit
-    from .models import atmosphere_of, make_solver
-    from .printing import console, progress
+    from .models import atmosphere_of, in_words, make_solver
+    from .printing import give, progress, say, warn, written
 
     allowed = allowed_of(context, solver, tolerance, ("preset", "geometry", "polarised"))
     smoothed = smooth_of(smooth or [])
@@ -167,9 +171,10 @@ def invert_command(
     common = shared_of(names, shared, independent, tuple(smoothed), len(measured.time))
     check_folder(out)
     keep_in(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
+    size = f"{measured.radiance.shape}, {', '.join(names)}; {', '.join(common)}; {starts} starts, jackknife {jackknife}"
 
     def fitted(last, first, start, measurement):
-        with progress("compiling and fitting") as report:
+        with progress("fitting", f"invert, {in_words(last)}", size) as report:
             return invert(
                 measured, asked, last, start, progress=report, shared=common, measurement=measurement,
                 response=channels, priors=priors, smooth=smoothed, draft=first, starts=starts,
@@ -197,10 +202,14 @@ def invert_command(
             models = fit.fitted.models
         assert fit is not None
     out.mkdir(parents=True, exist_ok=True)
-    save(fit, out / "fit.json")
-    save(fit, out / "fit.nc")
-    plot(fit, out / "fit.png")
-    names = ["fit.json", "fit.nc", "fit.png"]
+    names = []
+    for write, name in ((save, "fit.json"), (save, "fit.nc"), (plot, "fit.png")):
+        # the numbers are there without an extra
+        try:
+            write(fit, out / name)
+            names.append(name)
+        except ModuleNotFoundError as error:
+            warn(f"no {name}: {error}")
     if products:
         stated = aerosol_products(fit)
         for name in ("aerosol.nc", "aerosol.csv"):
@@ -213,12 +222,13 @@ def invert_command(
         print_choice(choice, allowed)
     if panorama is not None:
         for sentence in (told_of_place(panorama, fit, placed), told_of_haze(fit)):
-            console.print(sentence, highlight=False)
-    written = ", ".join(str(out / name) for name in names)
-    console.print(f"written: {written}", highlight=False)
+            say(sentence)
+    written(out / name for name in names)
+    give(json.loads((out / "fit.json").read_text(encoding="utf-8")))
+    end(fit.result)
 
 
-@app.command("predict", epilog="Example: skyfit predict fit/fit.json --at other.nc --out predicted.nc")
+@command("predict", "skyfit predict fit/fit.json --at other.nc --out predicted.nc")
 def predict_command(
     fit: Annotated[Path, typer.Argument(help="fit.json of skyfit invert")],
     at: Annotated[Path, typer.Option(help="a sky whose times, directions and wavelengths are wanted")],
@@ -231,11 +241,13 @@ def predict_command(
     """Predict the radiance of fitted skies in other directions or at other wavelengths."""
     from ..records import load, write_prediction
     from ..retrieve import predict
-    from .printing import console, progress
+    from .models import in_words
+    from .printing import give, progress, say
 
     fitted = load(fit)
     sky = read_asked(at, latitude, longitude, utc_offset, altitude, None)
-    with progress("predicting"):
+    with progress("predicting", f"predict, {in_words(fitted.solver)}", str(sky.radiance.shape)):
         radiance = predict(fitted, sky)
     write_prediction(sky, radiance, out)
-    console.print(f"{out}: {' x '.join(map(str, radiance.shape))} (time, direction, wavelength)", highlight=False)
+    say(f"{out}: {' x '.join(map(str, radiance.shape))} (time, direction, wavelength)")
+    give({"file": str(out), **dict(zip(("times", "directions", "wavelengths"), radiance.shape, strict=True))})

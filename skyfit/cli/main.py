@@ -57,7 +57,7 @@ def main() -> None:
         os.environ["XLA_FLAGS"] = " ".join([given, *more]).strip()
     try:
         app()
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ModuleNotFoundError) as error:
         from .printing import complain
 
         complain(str(error))

@@ -114,6 +114,12 @@ def in_words(solver: AbstractSolver) -> str:
     return f"{name}, {solver.geometry}, {solver.streams} streams, {kind}"
 
 
+def sizes(free: tuple[str, ...], scene: Scene, atmosphere: Atmosphere) -> str:
+    """What a program is compiled for besides its solver."""
+    shape = f"{scene.view.zenith.shape[0]} directions, {scene.wavelength_nm.shape[0]} wavelengths"
+    return f"{shape}, {', '.join(atmosphere.names)}; {', '.join(free)}"
+
+
 def settings_of(solver: AbstractSolver) -> dict:
     """The name and all settings of a solver, as a file holds them."""
     return {"name": type(solver).__name__} | {field.name: getattr(solver, field.name) for field in fields(solver)}

@@ -1,7 +1,10 @@
 """What the commands share: the application, options and checks. Help texts load neither jax nor a solver."""
 
 import os
+from collections.abc import Callable, Iterable
 from enum import StrEnum
+from functools import wraps
+from inspect import Parameter, signature
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +17,45 @@ app = typer.Typer(
     no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None,
     help="A differentiable daylight sky: simulate it, fit it, refit Preetham's model.",
 )  # fmt: skip
+
+
+def _speak(**how: bool) -> None:
+    from .printing import speak
+
+    speak(**how)
+
+
+# what every command takes: it decides how it is spoken of, and is no setting of the work
+_OF_EVERY_COMMAND = {
+    "quiet": typer.Option(
+        "--quiet", help="only warnings and errors", expose_value=False, callback=lambda value: _speak(quiet=value)
+    ),
+    "as_json": typer.Option(
+        "--json", help="the result as one JSON document on standard output, all else on standard error",
+        expose_value=False, callback=lambda value: _speak(as_json=value),
+    ),
+}  # fmt: skip
+
+
+def command(name: str, example: str) -> Callable[[Callable], Callable]:
+    """Makes a function the command of that name, with an example under its help and what every command takes."""
+
+    def register(function: Callable) -> Callable:
+        @wraps(function)
+        def run(quiet, as_json, **named):
+            function(**named)
+
+        own = signature(function)
+        shared = [
+            Parameter(key, Parameter.KEYWORD_ONLY, default=False, annotation=Annotated[bool, option])
+            for key, option in _OF_EVERY_COMMAND.items()
+        ]
+        # typer reads a command's options from these
+        run.__signature__ = own.replace(parameters=[*own.parameters.values(), *shared])  # pyright: ignore[reportAttributeAccessIssue]
+        app.command(name, epilog=f"Example: {example}")(run)
+        return function
+
+    return register
 
 
 class PresetName(StrEnum):
@@ -99,6 +141,12 @@ def check_folder(path: Path) -> None:
     nearest = next(place for place in (path, *path.absolute().parents) if place.exists())
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
         raise ValueError(f"`--out` must be a folder that can be made, got {path}")
+
+
+def end(results: Iterable[str]) -> None:
+    """Ends the program with code 3 where a search did not come to its end, such as at its limit of steps."""
+    if not {"successful", "poor_fit"}.issuperset(results):
+        raise typer.Exit(3)
 
 
 def refuse(context: typer.Context, options: tuple[str, ...], beside: str) -> None:

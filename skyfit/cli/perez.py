@@ -6,10 +6,10 @@ from typing import Annotated
 import typer
 
 from .asked_of_files import Altitude, Latitude, Longitude, MaskSun, read_asked, ResponseOption, Times, UtcOffset
-from .options import app, check_file
+from .options import check_file, command
 
 
-@app.command("perez", epilog="Example: skyfit perez scan.csv --out perez.csv")
+@command("perez", "skyfit perez scan.csv --out perez.csv")
 def perez_command(
     sky: Annotated[Path, typer.Argument(help="of an instrument, NetCDF, CSV or a folder of ASD text exports")],
     out: Annotated[Path, typer.Option(help="CSV file to write")],
@@ -29,12 +29,13 @@ def perez_command(
     from ..analytic import perez_of_sky
     from ..records import write_perez
     from .asked import response_of, samples_of
-    from .perez_report import print_perez
-    from .printing import console
+    from .perez_report import print_perez, record_of
+    from .printing import give, written
 
     check_file(out)
     measured = read_asked(sky, latitude, longitude, utc_offset, altitude, None, response_of(response))
     found = perez_of_sky(samples_of(measured, times, mask_sun), each)
     write_perez(found, out)
     print_perez(found)
-    console.print(f"written: {out}", highlight=False, soft_wrap=True)
+    written([out])
+    give(record_of(out))

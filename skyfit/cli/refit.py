@@ -11,9 +11,10 @@ import typer
 from .known import SEA_LEVEL_PRESSURE
 from .options import (
     AngstromExponent,
-    app,
     AtmosphereOption,
     check_folder,
+    command,
+    end,
     GeometryName,
     GeometryOption,
     GroundAlbedo,
@@ -53,7 +54,7 @@ class HazeName(StrEnum):
 _OUT_FILES = ("coefficients.json", "errors.png", "skies.png")
 
 
-@app.command("refit", epilog="Example: skyfit refit --out refit --form extended")
+@command("refit", "skyfit refit --out refit --form extended")
 def refit_command(
     context: typer.Context,
     out: OutFolder,
@@ -88,6 +89,8 @@ def refit_command(
 
     Exit code 3 if the fit did not come to its end: the files are written, and the report names what did not.
     """
+    import json
+
     import numpy as np
 
     from ..analytic import refit
@@ -100,16 +103,16 @@ def refit_command(
     )
     from ..atmosphere import describe, HenyeyGreenstein, Tabulated, turbidity_to_optical_depth
     from ..draw import plot_refit
+    from ..extras import require
     from ..records import write_coefficients
     from ..scene import hemisphere, Scene
     from .chosen import allowed_of, chosen_for, print_choice
-    from .models import atmosphere_of, make_atmosphere, make_solver
-    from .printing import console, progress
+    from .models import atmosphere_of, in_words, make_atmosphere, make_solver
+    from .printing import give, progress, written
     from .refit_report import draw_skies, print_refit
 
     in_range("--directions", directions, 20, 100000)
     allowed = allowed_of(context, solver, tolerance, ("preset", "geometry", "flat_below"))
-    choice, one = None, None if allowed is not None else make_solver(solver, preset, geometry)
     if flat_below is not None:
         in_range("--flat-below", flat_below, 0.0, 85.0)
     given = {name: value for name, value in context.params.items() if name not in ("out", "atmosphere")}
@@ -127,7 +130,11 @@ def refit_command(
         by_depth = _by_depth(air, atmosphere)
         given = {name: value for name, value in given.items() if name not in held} | {"atmosphere": describe(air)}
     check_folder(out)
-    if allowed is not None:
+    require("matplotlib")
+    choice = None
+    if allowed is None:
+        chosen = make_solver(solver, preset, geometry)
+    else:
         suns, hazes = SUN_ZENITH_DEG, TURBIDITY
         if form is FormName.extended:
             suns, hazes = EXTENDED_SUN_ZENITH_DEG, EXTENDED_TURBIDITY
@@ -137,10 +144,10 @@ def refit_command(
             (by_depth(turbidity_to_optical_depth(haze)), Scene.from_degrees(sun, dome, colours)) for sun, haze in ends
         ]
         choice = chosen_for(skies, allowed)
-        one = choice.solver
-    with progress("simulating skies and fitting") as report:
+        chosen = choice.solver
+    with progress("simulating skies and fitting", f"refit {form.value}, {in_words(chosen)}", str(directions)) as report:
         result = refit(
-            one, lambda turbidity: by_depth(turbidity_to_optical_depth(turbidity)),
+            chosen, lambda turbidity: by_depth(turbidity_to_optical_depth(turbidity)),
             directions=directions, form=form.value, flat_below_deg=flat_below, progress=report,
         )  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
@@ -151,9 +158,9 @@ def refit_command(
     print_refit(result)
     if choice is not None and allowed is not None:
         print_choice(choice, allowed)
-    console.print(f"written: {coefficients}, {errors}, {skies}", highlight=False)
-    if any(word != "successful" for word in result.result.values()):
-        raise typer.Exit(3)
+    written([coefficients, errors, skies])
+    give(json.loads(coefficients.read_text(encoding="utf-8")))
+    end(result.result.values())
 
 
 def _by_depth(air: "Atmosphere", path: Path) -> Callable:

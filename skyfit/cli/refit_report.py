@@ -6,7 +6,7 @@ import numpy as np
 
 from ..analytic import Comparison, model_xyz, Refit
 from ..draw import plot_skies
-from .printing import complain, console, table
+from .printing import complain, say, show, table
 
 
 # a table of more skies than this is one of suns
@@ -30,7 +30,7 @@ def print_refit(result: Refit) -> None:
             _pair(_middle(fitted.luminance_error[n][chosen]), _middle(fitted.luminance_95[n][chosen])) for n in names
         )
         each.add_row(sun, turbidity, *pairs)
-    console.print(each)
+    show(each)
     total = table("All together: luminance error, % (median / 95th percentile); xy distance")
     for heading in ("skies", "of", *names):
         total.add_column(heading, justify="right" if heading in names else "left", no_wrap=True)
@@ -42,9 +42,9 @@ def print_refit(result: Refit) -> None:
     ):
         total.add_row(kind, "luminance", *(_pair(errors[n].luminance, errors[n].luminance_95) for n in names))
         total.add_row("", "xy", *(_text(errors[n].chromaticity, 4) for n in names))
-    console.print(total)
-    console.print("* view zenith beyond 80 degrees or sun beyond 85", highlight=False)
-    console.print("best five: Perez' formula fitted to each sky alone, what it can do at all", highlight=False)
+    show(total)
+    say("* view zenith beyond 80 degrees or sun beyond 85")
+    say("best five: Perez' formula fitted to each sky alone, what it can do at all")
     for quantity, word in result.result.items():
         if word != "successful":
             complain(f"the joint fit of {quantity} did not end: {word}")

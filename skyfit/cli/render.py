@@ -8,8 +8,8 @@ import typer
 
 from .known import SEA_LEVEL_PRESSURE
 from .options import (
-    app,
     check_file,
+    command,
     GeometryName,
     GroundAlbedo,
     in_range,
@@ -62,7 +62,7 @@ _SIZES = {
 }  # fmt: skip
 
 
-@app.command(epilog="Example: skyfit render --sun-zenith 85 --turbidity 3 --out dusk.png")
+@command("render", "skyfit render --sun-zenith 85 --turbidity 3 --out dusk.png")
 def render(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="picture to write: .exr or .hdr, linear, or .png, developed")],
@@ -147,7 +147,7 @@ def render(
     from ..transport import SOLVERS, Spherical
     from .chosen import allowed_of, chosen_for, print_choice
     from .models import analytic_of, atmosphere_of, make_solver
-    from .printing import console, progress
+    from .printing import give, progress, say
     from .sequence import begin, Frame, frames_of
     from .sun import sun_of
 
@@ -227,23 +227,27 @@ def render(
         print_choice(choice, allowed)
     if until is not None:
         _told_of(todo, out)
-        return
-    console.print(f"{out}: {picture.told()}", highlight=False)
-    if out.suffix == ".png":
-        console.print(f"white: {picture.white(exposure):.4g} cd m-2", highlight=False)
+    else:
+        say(f"{out}: {picture.told()}")
+        if out.suffix == ".png":
+            say(f"white: {picture.white(exposure):.4g} cd m-2")
+    pictures = [
+        {"file": str(f.path), "time": f.time, "sun_zenith_deg": f.zenith, "sun_azimuth_deg": f.azimuth} for f in todo
+    ]
+    give({"pictures": pictures, "projection": projection.value, "width": width, "height": rows})
 
 
 def _told_of(frames, out: Path) -> None:
     """Of a time-lapse; its contact sheet."""
     from ..draw import plot_contact_sheet
-    from .printing import console
+    from .printing import say, written
 
     first, last = frames[0], frames[-1]
-    console.print(f"{first.path} to {last.path.name}: {first.title} to {last.title}", highlight=False)
+    say(f"{first.path} to {last.path.name}: {first.title} to {last.title}")
     if out.suffix == ".png":
         sheet = out.with_suffix(".sheet.png")
         plot_contact_sheet([frame.path for frame in frames], [frame.title for frame in frames], sheet)
-        console.print(f"written: {sheet}", highlight=False)
+        written([sheet])
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -8,15 +8,16 @@ import typer
 from .asked_of_files import Altitude, Latitude, Longitude, read_asked, Times, UtcOffset
 from .invert import FreeOption, PriorOption
 from .options import (
-    app,
     AtmosphereOption,
     check_file,
+    command,
     GeometryName,
     GeometryOption,
     in_range,
     LineShape,
     PresetName,
     PresetOption,
+    refuse,
     SolverOption,
 )
 
@@ -26,8 +27,9 @@ _CANDIDATES, _LOWEST = 343, 80.0
 _MOST_NEXT = 100.0
 
 
-@app.command("sensitivity", epilog="Example: skyfit sensitivity scan.alm --turbidity 3 --out told.json")
+@command("sensitivity", "skyfit sensitivity scan.alm --turbidity 3 --out told.json")
 def sensitivity_command(
+    context: typer.Context,
     scan: Annotated[Path, typer.Argument(help="a sky whose sun, views and wavelengths are meant, not its radiance")],
     out: Annotated[Path, typer.Option(help="JSON file to write")],
     turbidity: Annotated[float, typer.Option(help="of the atmosphere, Preetham's")] = 3.0,
@@ -63,16 +65,19 @@ def sensitivity_command(
     from ..retrieve import fisher_information, next_directions, posterior_covariance, SkyModel, values_of
     from ..scene import Directions, hemisphere, Scene
     from .asked import free_of, names_in, priors_of, times_of
-    from .models import atmosphere_of, make_solver
-    from .printing import console, progress
+    from .models import atmosphere_of, in_words, make_solver, sizes
+    from .printing import give, progress, written
     from .sensitivity_report import print_sensitivity, prior_sigmas, record_of
 
     check_file(out)
     in_range("--relative", relative, 1e-6, 1.0)
     in_range("--next", float(count), 1.0, _MOST_NEXT)
     named, wanted = priors_of(prior or []), None if interest is None else names_in(interest)
-    air = Atmosphere.from_turbidity(in_range("--turbidity", turbidity, 1.001, 50.0))
-    air = air if atmosphere is None else atmosphere_of(atmosphere)
+    if atmosphere is None:
+        air = Atmosphere.from_turbidity(in_range("--turbidity", turbidity, 1.001, 50.0))
+    else:
+        refuse(context, ("turbidity",), "`--atmosphere`, whose file holds it")
+        air = atmosphere_of(atmosphere)
     sky = read_asked(scan, latitude, longitude, utc_offset, altitude, fwhm)
     sky = sky.at(0 if times is None else int(times_of(times, sky)[0]))
     seen, spectrum = _seen(sky)
@@ -87,7 +92,7 @@ def sensitivity_command(
     scene = Scene.from_degrees(sun[0], Directions(*views), spectrum, sun[1], fwhm_nm=width)
     keep_in(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
     chosen = make_solver(solver, preset, geometry)
-    with progress("differentiating"):
+    with progress("differentiating", f"sensitivity, {in_words(chosen)}", sizes(names, scene, air)):
         information = np.asarray(fisher_information(scene, air, names, relative, solver=chosen))
     measured = np.arange(int(seen.sum()))
     covariance = np.asarray(posterior_covariance(information[measured].sum(axis=0), prior_sigma))
@@ -97,7 +102,8 @@ def sensitivity_command(
     record = record_of(sky, sun, spectrum, relative, names, values, covariance, prior_sigma, after, choice.sigma)
     out.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     print_sensitivity(record)
-    console.print(f"written: {out}", highlight=False, soft_wrap=True)
+    written([out])
+    give(record)
 
 
 def _seen(sky):

@@ -8,7 +8,7 @@ from ..measured import Sky, time_names
 from ..retrieve import PARAMETERS
 from ..retrieve.result import is_determined
 from ..scene import Directions
-from .printing import console, table
+from .printing import say, show, table
 
 
 def prior_sigmas(names: tuple[str, ...], given: Mapping[str, tuple[float, float] | None]) -> np.ndarray:
@@ -61,12 +61,14 @@ def print_sensitivity(record: dict) -> None:
     following = record["next"]
     title = f"{record['scan']}, sun zenith {record['sun_zenith']:.1f} degrees, {record['directions']} directions"
     rows = table(f"{title}, {len(record['wavelength_nm'])} wavelengths with {record['relative_noise']:.1%} noise")
-    for head in ("parameter", "value", "sigma", f"with {len(following)} more", "unit", ""):
+    for head in ("parameter", "value", "sigma", f"with {len(following)} more", "unit"):
         rows.add_column(head, justify="right" if head in ("value", "sigma") or head.startswith("with") else "left")
     for name, one in record["parameters"].items():
         later = following[-1]["sigma"][name]
         sigmas = ("open" if sigma is None else f"{sigma:.3g}" for sigma in (one["sigma"], later))
-        rows.add_row(name, f"{one['value']:.4g}", *sigmas, one["unit"], "" if one["determined"] else "not determined")
-    console.print(rows, highlight=False)
+        rows.add_row(name, f"{one['value']:.4g}{'' if one['determined'] else '?'}", *sigmas, one["unit"])
+    show(rows)
+    if not all(one["determined"] for one in record["parameters"].values()):
+        say("? not determined")
     places = ", ".join(f"{one['view_zenith']:.0f}/{one['view_azimuth']:.0f}" for one in following)
-    console.print(f"next, zenith angle/azimuth in degrees: {places}", highlight=False)
+    say(f"next, zenith angle/azimuth in degrees: {places}")

@@ -9,8 +9,8 @@ import typer
 from .known import SEA_LEVEL_PRESSURE
 from .options import (
     AngstromExponent,
-    app,
     AtmosphereOption,
+    command,
     GeometryName,
     GeometryOption,
     GroundAlbedo,
@@ -39,7 +39,7 @@ _OF_SIMULATIONS = (
 )  # fmt: skip
 
 
-@app.command(epilog="Example: skyfit simulate --sun-zenith 60 --turbidity 3 --out sky.nc")
+@command("simulate", "skyfit simulate --sun-zenith 60 --turbidity 3 --out sky.nc")
 def simulate(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="file to write, .nc or .csv")],
@@ -97,10 +97,11 @@ def simulate(
         make_solver,
         precision,
         settings_of,
+        sizes,
         turbidity_of,
         wavelengths_of,
     )
-    from .printing import console, notices, progress
+    from .printing import give, progress, say, warn
     from .sun import sun_of
 
     given = None if atmosphere is None else _given_atmosphere(context, atmosphere)
@@ -125,10 +126,11 @@ def simulate(
     day = None if time is None or analytic is not None else day_of_year(about["time"][0])
     scene = Scene.from_degrees(zenith, view, spectrum, azimuth, day, fwhm_nm=fwhm, irradiance=irradiance)
     choice = None if allowed is None else choose(air, scene, allowed)
-    with progress("simulating"):
+    if choice is not None:
+        chosen, air = choice.solver, choice.atmosphere
+    kind = "" if analytic is not None else f"simulate, {in_words(chosen)}"
+    with progress("simulating", kind, sizes((), scene, air)):
         if analytic is None:
-            if choice is not None:
-                chosen, air = choice.solver, choice.atmosphere
             keep_in(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
             # said once, in the command's own words
             with warnings.catch_warnings():
@@ -139,14 +141,14 @@ def simulate(
                 found = kept_radiance(chosen, air, scene)
             for said in (low_sun(chosen, scene.sun_zenith), chosen.doubt(air)):
                 if said is not None:
-                    notices.print(f"note: {said}", highlight=False, markup=False, soft_wrap=True)
+                    warn(said)
             radiance, model = np.asarray(found, float), in_words(chosen)
             made_by = {"solver": settings_of(chosen), "atmosphere": describe(air)}
         else:
             radiance, model = np.asarray(analytic.radiance(haze, scene), float), type(analytic).__name__
             made_by = {"coefficients": coefficients, "turbidity": haze}
             if not analytic.valid(haze, scene.sun_zenith):
-                notices.print("these coefficients extrapolate here", highlight=False)
+                warn("these coefficients extrapolate here")
     if choice is not None:
         made_by |= {
             "choice": {
@@ -166,10 +168,14 @@ def simulate(
         sun_distance_au=1.0 if day is None else np.nan, source=out.name, **about,
     )  # fmt: skip
     write_sky(sky, out)
-    console.print(f"{out}: {radiance.shape[0]} directions, {radiance.shape[1]} wavelengths", highlight=False)
-    console.print(f"model: {model}, {precision()}", highlight=False)
+    say(f"{out}: {radiance.shape[0]} directions, {radiance.shape[1]} wavelengths")
+    say(f"model: {model}, {precision()}")
     if choice is not None and allowed is not None:
         print_choice(choice, allowed)
+    give({
+        "file": str(out), "directions": radiance.shape[0], "wavelength_nm": spectrum.tolist(),
+        "sun_zenith_deg": zenith, "sun_azimuth_deg": azimuth, "made_by": about["made_by"],
+    })  # fmt: skip
 
 
 def _given_atmosphere(context: typer.Context, path: Path):

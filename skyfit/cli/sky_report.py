@@ -1,6 +1,7 @@
-"""What `skyfit convert` prints of a sky, at 80 columns."""
+"""What `skyfit convert` says of a sky: its print, and a record for programs."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 from rich.table import Table
@@ -9,7 +10,7 @@ from ..light.solar import SPECTRUM_NM
 from ..measured import Sky, time_names
 from ..measured.units import LUMINANCE, RADIANCE
 from ..retrieve.sampling import GAS_BANDS_NM
-from .printing import console
+from .printing import console, note, say
 
 
 # names of one list that are shown
@@ -18,17 +19,35 @@ _MOST = 12
 
 def print_sky(sky: Sky) -> None:
     """A line or more for the instrument, its place, times, sun, wavelengths, views, samples and unit; then notes."""
-    console.print(f"{sky.source}: {sky.instrument or 'a sky'}", highlight=False)
+    say(f"{sky.source}: {sky.instrument or 'a sky'}")
     lines = Table.grid(padding=(0, 2, 0, 0))
     lines.add_column(no_wrap=True)
     lines.add_column()
     for name, told in _understood(sky):
         lines.add_row(name, told)
-    console.print(lines, highlight=False)
-    for note in sky.notes:
-        console.print(f"note: {note}", highlight=False, markup=False)
+    console.print(lines, markup=False)
+    for sentence in sky.notes:
+        note(sentence)
     for reason, count in sky.masked.items():
-        console.print(f"masked: {count} samples {reason}", highlight=False, markup=False)
+        say(f"masked: {count} samples {reason}")
+
+
+def record_of(sky: Sky, path: Path) -> dict:
+    """What was understood of a sky that went to a file, and how many samples are of use."""
+    return {
+        "file": str(path), "source": sky.source, "instrument": sky.instrument, "times": list(time_names(sky)),
+        "understood": {name: told for name, told in _understood(sky) if name}, **sky.counts(),
+        "masked": dict(sky.masked), "notes": list(sky.notes),
+    }  # fmt: skip
+
+
+def short_times(sky: Sky) -> tuple[str, list[str]]:
+    """The day, if all times are of one, and each time as short as that allows."""
+    names = [name.replace("T", " ").removesuffix(":00Z") for name in time_names(sky)]
+    day = names[0].partition(" ")[0]
+    if np.isnat(sky.time).any() or not all(name.startswith(f"{day} ") for name in names):
+        return "", names
+    return day, [name.removeprefix(f"{day} ") for name in names]
 
 
 def _understood(sky: Sky) -> Iterator[tuple[str, str]]:

@@ -21,6 +21,7 @@ def plot_contact_sheet(pictures: Sequence[str | os.PathLike], titles: Sequence[s
     **Arguments:** `pictures`, at least one, and as many `titles`; `path`, `*.png`, `*.pdf` or `*.svg`.
     **Valid:** of more than 48 an even choice is drawn. **Errors:** `ValueError` for none, and for fewer or more titles.
     """
+    figure_of = figure_maker(path)
     from matplotlib.image import imread
 
     if not pictures or len(pictures) != len(titles):
@@ -36,7 +37,7 @@ def plot_contact_sheet(pictures: Sequence[str | os.PathLike], titles: Sequence[s
     columns = max(1, min(len(images), _MOST_ACROSS, round(np.sqrt(len(images) * 1.5 * height / width))))
     rows = -(-len(images) // columns)
     each = _ACROSS / columns
-    figure = figure_maker(path)((_ACROSS, rows * (each * height / width + 0.25)))
+    figure = figure_of((_ACROSS, rows * (each * height / width + 0.25)))
     places = figure.subplots(rows, columns, squeeze=False).ravel()
     for axis in places:
         axis.axis("off")

@@ -36,6 +36,15 @@ def plot(fit: Fit, path: str | os.PathLike) -> None:
     **Arguments:** `fit`, from `skyfit.invert`; `path`, `*.png`, `*.pdf` or `*.svg`.
     **Valid:** what all times share, then a row for each time, an even choice of 8 where there are more; a dome shows
     the mean over the fitted wavelengths at 400-700 nm (all, if there are none). A failure leaves no file.
+
+    **Example:**
+
+        >>> sky = skyfit.read("data/skies/sample.nc")
+        >>> fit = skyfit.invert(sky, ["turbidity"], skyfit.SingleScattering.draft("flat"))
+        >>> skyfit.plot(fit, "fit.png")
+        >>> from pathlib import Path
+        >>> Path("fit.png").exists()
+        True
     """
     figure_of = figure_maker(path)
     count = len(fit.sky.time)

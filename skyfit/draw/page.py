@@ -3,11 +3,13 @@
 import os
 from pathlib import Path
 
+from ..extras import require
 from ..measured import atomic
 
 
 def figure_maker(path: str | os.PathLike):
     """A maker of figures of a size in inches, once the suffix of `path` is known to be writable."""
+    require("matplotlib")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -19,10 +19,10 @@ def plot_refit(refit: Refit, path: str | os.PathLike) -> None:
     **Valid:** lines are the skies of the fit, one for each turbidity, circles those held out; per cent, view zenith to
     80 degrees. The published coefficients stand only where their range holds. A failure leaves no file.
     """
+    figure = figure_maker(path)((11.0, 4.1))
     from matplotlib import colormaps
     from matplotlib.colors import LogNorm
 
-    figure = figure_maker(path)((11.0, 4.1))
     fitted, held = refit.fitted, refit.held_out
     everything = np.concatenate([fitted.turbidity, held.turbidity])
     # one turbidity alone would be a norm without width

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Num
 
+from ..extras import require
 from ..light import SRGB_FROM_XYZ
 from ..measured import atomic
 from .camera import Camera
@@ -136,6 +137,7 @@ def reduced(
 
 def _read(path: Path):
     """Numbers `[row, column, channel]`, names, whether they are whole, the primaries and the place of alpha, if any."""
+    require("OpenImageIO")
     import OpenImageIO as oiio
 
     if not path.is_file():
@@ -190,6 +192,7 @@ def aces(linear: Float[np.ndarray, "row column 3"]) -> Float[np.ndarray, "row co
 
     **Source:** Academy S-2025-001 in OpenColorIO's own configuration.
     """
+    require("OpenImageIO")
     import OpenImageIO as oiio
 
     shown = oiio.ImageBufAlgo.ociodisplay(

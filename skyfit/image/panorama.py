@@ -54,6 +54,14 @@ class Panorama:
     - `sky`, area averages of small patches all over the dome, as `skyfit.invert` takes them; the scale of each channel
       is fitted with them, unless the level was given
     - `notes`: what was assumed and left out
+
+    **Example:**
+
+        >>> camera = skyfit.Camera("equirect", 256, 128)
+        >>> skyfit.render(skyfit.Preetham.published(), camera, turbidity=3.0, sun_zenith=0.9).save("sky.exr")
+        >>> found = skyfit.read_panorama("sky.exr", level=1.0)
+        >>> found.sky.radiance.shape[1:], bool(found.used.any())
+        ((300, 3), True)
     """
 
     rgb: Float[np.ndarray, "row column 3"]
@@ -136,6 +144,14 @@ def read_panorama(
     **Returns:** a `Panorama`. **Errors:** `ValueError` for a file that is no such picture, or shows no sky.
     **Valid:** a clear sky; scattered clouds are left to the loss of the fit. Pixels within 2 degrees of the horizon and
     4 degrees of the sun, or what its bloom spoils, are left out.
+
+    **Example:**
+
+        >>> camera = skyfit.Camera("equirect", 256, 128)
+        >>> skyfit.render(skyfit.Preetham.published(), camera, turbidity=3.0, sun_zenith=0.9).save("sky.exr")
+        >>> found = skyfit.read_panorama("sky.exr", level=1.0)
+        >>> round(float(found.sky.sun_zenith[0]), 2)
+        0.9
     """
     path = Path(path)
     check_range("count", count, 2.0 * _FEWEST, 5e3)

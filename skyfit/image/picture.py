@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..extras import require
 from ..light import srgb_from_linear
 from ..measured import atomic
 from ..numerics import check_range
@@ -48,6 +49,14 @@ class Image:
 
     `camera` says which way its pixels look; `lamp` is the sun, whether the picture has it or not; `made_by`, the solver
     or the formula.
+
+    **Example:**
+
+        >>> camera = skyfit.Camera("equirect", 64, 32)
+        >>> picture = skyfit.render(skyfit.Preetham.published(), camera, turbidity=3.0, sun_zenith=0.9)
+        >>> picture.rgb().shape
+        (32, 64, 3)
+        >>> picture.save("sky.exr")
     """
 
     xyz: Float[np.ndarray, "row column 3"]
@@ -177,11 +186,12 @@ def check_saving(
     space: Space = "srgb",
     half: bool = False,
 ) -> None:
-    """A `ValueError` for what `Image.save` cannot do with a path of this suffix; arguments as it has them."""
+    """An error for what `Image.save` cannot do with a path of this suffix, or here; arguments as it has them."""
     if path.suffix not in (".exr", ".hdr", ".png"):
         raise ValueError(f"`path` must end in .exr, .hdr or .png, got {path}")
     if path.suffix != ".exr" and (space != "srgb" or half):
         raise ValueError(f"`space` and `half` are of an .exr, got them for {path}")
+    require("OpenImageIO")
     check_range("exposure", exposure, *_EXPOSURES)
     check_range("white_balance", white_balance, *_DAYLIGHTS, "K")
 

@@ -52,6 +52,13 @@ def render(
     **Valid:** a solver is asked for 18000 directions (12000 without ground), between which the light is interpolated,
     within 0.5 %, in the first fifth of a degree under the horizon 2 % (tests); an analytic sky for every pixel. Below
     the horizon of others than `Spherical` the ground is lit evenly and no air lies before it. No refraction.
+
+    **Example:**
+
+        >>> camera = skyfit.Camera("equirect", 64, 32)
+        >>> picture = skyfit.render(skyfit.Preetham.published(), camera, turbidity=3.0, sun_zenith=0.9)
+        >>> picture.xyz.shape
+        (32, 64, 3)
     """
     camera = Camera() if camera is None else camera
     sun_zenith, sun_azimuth, height = float(sun_zenith), float(sun_azimuth), float(height)

@@ -1,5 +1,6 @@
 """From spectral radiance to what an eye and a screen make of it."""
 
+import warnings
 from functools import lru_cache
 
 import jax.numpy as jnp
@@ -39,6 +40,12 @@ def xyz(
     **Valid:** increasing wavelengths that cover 400-700 nm, else `ValueError`. Beyond its ends the
     radiance is held constant, as ASTM E308 does; what lies outside 360-830 nm does not count.
     **Source:** CIE 015:2018, observer from colour-science (1 nm).
+
+    **Example:**
+
+        >>> wavelength = np.arange(380.0, 781.0, 10.0)
+        >>> skyfit.xyz(jnp.full((20, 41), 0.1), wavelength).shape
+        (20, 3)
     """
     weights = jnp.asarray(observer_weights(wavelength_nm), dtype=radiance.dtype)
     return jnp.einsum("...w,wc->...c", radiance, weights, precision="highest")
@@ -104,6 +111,13 @@ def srgb(
 
     **Arguments:** as `xyz`; `exposure` in 1 / (cd m^-2): luminance 1 / exposure is white.
     **Returns, valid, source:** as `srgb_from_xyz`.
+
+    **Example:**
+
+        >>> wavelength = np.arange(380.0, 781.0, 5.0)
+        >>> white = skyfit.daylight(0.3127, 0.3290, wavelength)
+        >>> np.round(skyfit.srgb(1e4 * white, wavelength, 1e-4), 1).tolist()
+        [1.0, 1.0, 1.0]
     """
     return srgb_from_xyz(xyz(radiance, wavelength_nm), exposure)
 
@@ -128,6 +142,11 @@ def srgb_from_linear(linear: Float[Array | np.ndarray, "..."]) -> Float[Array, "
 
     **Arguments:** `linear` red, green, blue, 1 for white, in any order. **Returns:** the same, encoded.
     **Valid, source:** as `srgb_from_xyz`.
+
+    **Example:**
+
+        >>> round(float(skyfit.srgb_from_linear(jnp.array(0.5))), 3)
+        0.735
     """
     bright = linear > _SRGB_LINEAR_END
     power = 1.055 * jnp.where(bright, linear, 1.0) ** (1.0 / 2.4) - 0.055
@@ -164,7 +183,10 @@ def observer_weights(
 
 @lru_cache(maxsize=1)
 def _observer():
-    import colour
+    # without matplotlib it warns of its plots, for which nobody asked
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import colour
 
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     return np.array(observer.wavelengths), np.array(observer.values)

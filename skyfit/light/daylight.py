@@ -44,6 +44,13 @@ def daylight(
     S_D, and the luminance is larger: in Preetham's sky beside a low sun, below 450 nm, by up to 0.14 % at turbidity 10.
     A y below 0.01 divides as 0.01. Values and gradients are finite everywhere.
     **Source:** Preetham 1999 A.5 after Wyszecki & Stiles 1982; S of CIE 015:2018, whose 380-780 nm are his Table 2.
+
+    **Example:**
+
+        >>> wavelength = np.arange(380.0, 781.0, 5.0)
+        >>> spectrum = skyfit.daylight(0.3127, 0.3290, wavelength)
+        >>> round(float(skyfit.xyz(spectrum, wavelength)[1]), 3)
+        1.0
     """
     table_nm = _basis_of_colour()[0]
     check_wavelength(wavelength_nm, table_nm[0], table_nm[-1], "of the spectrum of daylight")

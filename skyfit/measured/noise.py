@@ -44,6 +44,14 @@ class NoiseModel:
     - `field_of_view`: full cone angle of what the instrument sees, radians; 0: a ray.
     - `loss`: of a residual beyond `threshold` standard deviations: "squares", "huber" (linear) or "cauchy"
       (logarithmic), against clouds, masts and flare.
+
+    **Example:**
+
+        >>> sky = skyfit.read("data/skies/sample.nc")
+        >>> noise = skyfit.NoiseModel(relative=0.01, floor=0.0)
+        >>> sigma = noise.sigma(sky, sky.usable)
+        >>> bool(np.allclose(sigma[sky.usable], 0.01 * sky.radiance[sky.usable]))
+        True
     """
 
     relative: float | None = None

@@ -39,6 +39,12 @@ class Response:
     `names` of the channels, by default their mean wavelengths. A sky that has this as its `response` has an axis of
     these channels in this order in place of wavelengths. `by_unit`: taken from the unit of the readings alone, so
     that one which tells more of the instrument may stand in its place (`Sky.with_response`).
+
+    **Example:**
+
+        >>> eye = skyfit.Response.xyz()
+        >>> eye.names, eye.weight.shape[0]
+        (('X', 'Y', 'Z'), 3)
     """
 
     wavelength_nm: np.ndarray

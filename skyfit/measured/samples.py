@@ -53,6 +53,23 @@ class Sky:
     **Returns** the sky, whose arrays agree in shape; otherwise `ValueError`.
 
     **Valid** zenith angles in [0, pi]; a direction that is NaN or below the horizon must not be usable.
+
+    **Example:**
+
+        >>> view = skyfit.hemisphere(3)
+        >>> sky = skyfit.Sky(
+        ...     radiance=np.full((1, 3, 2), 0.1),
+        ...     sigma=None,
+        ...     usable=np.full((1, 3, 2), True),
+        ...     view_zenith=np.asarray(view.zenith),
+        ...     view_azimuth=np.asarray(view.azimuth),
+        ...     wavelength_nm=np.array([450.0, 550.0]),
+        ...     sun_zenith=np.array([0.9]),
+        ...     sun_azimuth=np.array([3.1]),
+        ...     time=np.array(["2025-06-01T12:00"], "datetime64[ns]"),
+        ... )
+        >>> sky.counts()
+        {'samples': 6, 'usable': 6}
     """
 
     # Shapes are checked below, in words that a reader of files can pass on.

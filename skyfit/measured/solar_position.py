@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float, Shaped
 
+from ..extras import require
+
 
 # the true elevation of a sun whose upper edge is seen at the horizon: to it the source has refraction
 _SETTING_DEG = -0.83337
@@ -36,6 +38,7 @@ def solar_position(
 
     **Source** NREL's solar position algorithm (Reda and Andreas 2004), as in pvlib; refraction: its eq. 42.
     """
+    require("pandas", "pvlib")
     import pandas
     from pvlib.atmosphere import alt2pres
     from pvlib.solarposition import get_solarposition

@@ -49,6 +49,13 @@ def write_sky(sky: Sky, path: str | os.PathLike) -> None:
     **Valid** any other suffix is a `ValueError`; a failure leaves no file and keeps an old one.
     What each masked sample was masked for is not written: it reads back as "suspect" unless its
     value tells.
+
+    **Example:**
+
+        >>> sky = skyfit.read("data/skies/sample.nc")
+        >>> skyfit.write_sky(sky, "sky.csv")
+        >>> skyfit.read("sky.csv").radiance.shape
+        (1, 94, 33)
     """
     target = Path(path)
     writer = _WRITERS.get(target.suffix.lower())

@@ -99,6 +99,21 @@ def read_coefficients(path) -> Preetham | ExtendedPreetham:
 
     **Arguments:** `path`. **Returns:** `ExtendedPreetham` or `Preetham`, valid where the file says.
     **Errors:** `ValueError` naming the file and what is wrong with it.
+
+    **Example:**
+
+        >>> found = skyfit.refit(
+        ...     skyfit.SingleScattering.draft("flat"),
+        ...     sun_zenith_deg=np.array([20.0, 40.0, 60.0, 75.0]),
+        ...     turbidity=np.array([2.0, 4.0, 6.0]),
+        ...     directions=40,
+        ...     held_out=4,
+        ... )
+        >>> skyfit.records.write_coefficients(found, "coefficients.json")
+        >>> model = skyfit.read_coefficients("coefficients.json")
+        >>> scene = skyfit.Scene.from_degrees(60, skyfit.hemisphere(20), [450, 550, 650])
+        >>> model.radiance(3.0, scene).shape
+        (20, 3)
     """
     path = Path(path)
     try:

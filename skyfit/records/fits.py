@@ -18,6 +18,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from ..extras import require
 from ..measured import atomic, NoiseModel, Response, Sky, STATION_RANGES
 from ..measured.readers.dataset import load_dataset
 from ..measured.units import RADIANCE
@@ -90,6 +91,18 @@ def fit_many(
     rounding only.
     **Errors:** `ValueError` as `invert` for names and settings, for a sky without any usable sample, and for a `path`
     that holds anything else.
+
+    **Example:**
+
+        >>> sky = skyfit.read("data/skies/sample.nc")
+        >>> fits = skyfit.fit_many(
+        ...     sky,
+        ...     ["turbidity"],
+        ...     skyfit.SingleScattering.draft("flat"),
+        ...     draft=skyfit.SingleScattering.draft("flat"),
+        ... )
+        >>> fits.values.shape, fits.result.shape
+        ((1, 1), (1,))
     """
     for name, value in (("chunk", chunk), ("batch_size", batch_size), ("starts", starts)):
         if not (isinstance(value, int) and value >= 1):
@@ -226,6 +239,7 @@ def _kept(parts: Path) -> list[dict[str, np.ndarray]]:
 
 
 def _write(fits: Fits, file: Path) -> None:
+    require("xarray", "h5netcdf")
     import xarray
 
     variables = {}
@@ -255,6 +269,19 @@ def read_fits(path: str | os.PathLike) -> Fits:
 
     **Arguments:** `path`, `*.nc`. **Returns:** `Fits`.
     **Errors:** a one-line `ValueError` that names the file for everything else.
+
+    **Example:**
+
+        >>> sky = skyfit.read("data/skies/sample.nc")
+        >>> _ = skyfit.fit_many(
+        ...     sky,
+        ...     ["turbidity"],
+        ...     skyfit.SingleScattering.draft("flat"),
+        ...     draft=skyfit.SingleScattering.draft("flat"),
+        ...     path="fits.nc",
+        ... )
+        >>> skyfit.read_fits("fits.nc").free
+        ('turbidity',)
     """
     path = Path(path)
     try:

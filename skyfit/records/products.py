@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..extras import require
 from ..measured import atomic
 
 
@@ -21,12 +22,22 @@ def write_products(products: "xarray.Dataset", path: str | os.PathLike) -> None:
     The columns are time (UTC), quantity, wavelength_nm, radius_um, value, sigma (inf: not determined) and unit; what a
     quantity does not depend on is empty. **Errors:** `ValueError` for another suffix, and where nothing can be written,
     in which case an older file stays.
+
+    **Example:**
+
+        >>> sky = skyfit.read("data/skies/sample.nc")
+        >>> fit = skyfit.invert(sky, ["turbidity"], skyfit.SingleScattering.draft("flat"))
+        >>> skyfit.write_products(skyfit.aerosol_products(fit), "aerosol.csv")
+        >>> from pathlib import Path
+        >>> Path("aerosol.csv").read_text().split(",")[:3]
+        ['time', 'quantity', 'wavelength_nm']
     """
     path = Path(path)
     if path.suffix not in (".nc", ".csv"):
         raise ValueError(f"{path.name}: expected a suffix of .nc or .csv, found {path.suffix!r}")
     with atomic(path) as part:
         if path.suffix == ".nc":
+            require("h5netcdf")
             products.to_netcdf(part, engine="h5netcdf")
         else:
             part.write_text(_table(products), encoding="utf-8")

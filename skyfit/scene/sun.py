@@ -23,6 +23,11 @@ def solar_time(
     hour), radians, positive WEST; shapes that broadcast. **Returns:** hours; 12 is noon.
     **Valid:** within about 1 minute. Angles beyond a turn are degrees: a `ValueError`, where they are not traced.
     **Source:** Preetham 1999, A.6, which does not say which way longitudes count: only west-positive ones agree.
+
+    **Example:**
+
+        >>> round(float(skyfit.solar_time(12.0, 80, np.radians(0.0), np.radians(0.0))), 2)
+        11.88
     """
     check_radians("longitude_west", longitude_west, -2.0 * math.pi, 2.0 * math.pi)
     check_radians("meridian_west", meridian_west, -2.0 * math.pi, 2.0 * math.pi)

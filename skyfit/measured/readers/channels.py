@@ -17,6 +17,14 @@ def read_response(path: str | os.PathLike) -> Response:
     **Returns:** a `Response` of the channels in the order of the columns, with their names. Weights are multiplied by
     the steps of the wavelengths (trapezoids), so that a sum over them is an integral.
     **Valid:** 300-1100 nm, increasing; anything else is a one-line `ValueError` with the file's name.
+
+    **Example:**
+
+        >>> from pathlib import Path
+        >>> _ = Path("camera.csv").write_text("wavelength_nm,blue,green\\n450,1,0\\n550,0,2\\n650,0,1\\n")
+        >>> camera = skyfit.read_response("camera.csv")
+        >>> camera.names, camera.weight.shape
+        (('blue', 'green'), (2, 3))
     """
     path = Path(path)
     header, numbers = read_numbers(path)

@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
+from ...extras import require
+
 
 def load_dataset(path: Path):
     """All of a NetCDF file in memory, as an `xarray.Dataset`; a one-line `ValueError` where it is none or damaged."""
+    require("xarray", "h5netcdf", "h5py")
     import xarray
 
     with open(path, "rb") as stream:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...extras import require
 from ..readers.netcdf import AXES, BEAM, DEPTH
 from ..samples import Sky
 from ..units import IRRADIANCE, LUMINANCE, RADIANCE
@@ -20,6 +21,7 @@ def write_netcdf(sky: Sky, path: Path) -> None:
 
     **Arguments** `path`: the file; written in place, see `writing.atomic`.
     """
+    require("h5netcdf", "h5py")
     # xarray would bring pandas along, longer than all the rest of the writing
     import h5netcdf
 

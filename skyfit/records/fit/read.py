@@ -141,6 +141,14 @@ def load(path: str | os.PathLike) -> Fitted:
     **Returns:** a `Fitted`, with values in the process's default float type.
     **Valid:** constituents, phase functions and profiles of skyfit's own (`skyfit.atmosphere.CONSTITUENTS`).
     **Errors:** a one-line `ValueError` that names the file and the key for everything else.
+
+    **Example:**
+
+        >>> sky = skyfit.read("data/skies/sample.nc")
+        >>> fit = skyfit.invert(sky, ["turbidity"], skyfit.SingleScattering.draft("flat"))
+        >>> skyfit.save(fit, "fit.json")
+        >>> skyfit.predict(skyfit.load("fit.json"), sky).shape
+        (1, 94, 33)
     """
     path = Path(path)
     try:

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from ...atmosphere import describe
+from ...extras import require
 from ...measured import atomic, Sky, STATION_RANGES, write_sky
 from ...measured.units import RADIANCE
 from ...measured.writers import axes, degrees, write_netcdf
@@ -181,6 +182,14 @@ def save(fit: Fit, path: str | os.PathLike) -> None:
     **Arguments:** `fit`, from `skyfit.invert`; `path`, `*.json` for parameters and uncertainties (`load`
     reads it back) or `*.nc` for the measured, fitted and residual radiance and the samples' weights.
     **Valid:** any other suffix is a `ValueError`; a failure leaves no file and keeps an old one.
+
+    **Example:**
+
+        >>> sky = skyfit.read("data/skies/sample.nc")
+        >>> fit = skyfit.invert(sky, ["turbidity"], skyfit.SingleScattering.draft("flat"))
+        >>> skyfit.save(fit, "fit.json")
+        >>> skyfit.load("fit.json").models[0].atmosphere.names
+        ('rayleigh', 'aerosol', 'ozone')
     """
     target = Path(path)
     writer = {".json": _write_json, ".nc": _write_field}.get(target.suffix.lower())
@@ -210,6 +219,7 @@ def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) ->
 
 
 def _write_field(fit: Fit, part: Path) -> None:
+    require("xarray", "h5netcdf")
     import xarray
 
     everywhere, fitted = axes(fit.sky), ("time", "direction", "fitted_wavelength")
