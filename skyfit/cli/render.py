@@ -55,12 +55,6 @@ class SpaceName(StrEnum):
     xyz = "xyz"
 
 
-_SIZES = {
-    ProjectionName.equirect: (1024, 512), ProjectionName.fisheye: (1024, 1024), ProjectionName.cube: (1536, 256),
-    ProjectionName.perspective: (1024, 576),
-}  # fmt: skip
-
-
 @app.command(epilog="Example: skyfit render --sun-zenith 85 --turbidity 3 --out dusk.png")
 def render(
     context: typer.Context,
@@ -142,7 +136,7 @@ def render(
     from .models import analytic_of, atmosphere_of, make_solver
     from .printing import console, progress
     from .sequence import begin, Frame, frames_of
-    from .sun import sun_of
+    from .sun import seen_at, sun_of
 
     # a picture needs no more than float32
     context.with_resource(jax.enable_x64(False))
@@ -175,13 +169,13 @@ def render(
         if frames is not None:
             raise ValueError("`--frames` must come with `--until`")
         zenith, around, _ = sun_of(sun_zenith, sun_azimuth, time, at, SEA_LEVEL_PRESSURE, lowest)
-        todo = [Frame(out, time, zenith, around)]
+        todo = [Frame(out, time, zenith, around, seen_at(zenith, time, at, SEA_LEVEL_PRESSURE))]
     else:
         if sun_zenith is not None or sun_azimuth is not None:
             raise ValueError("`--until` must come with `--time`, `--at` and `--frames`, without an angle of the sun")
         todo = frames_of(out, time, until, frames, at, SEA_LEVEL_PRESSURE, lowest)
         around = todo[len(todo) // 2].azimuth
-    width, rows = _SIZES[projection] if size is None else _size(size)
+    width, rows = (0, 0) if size is None else _size(size)
     view = None if field_of_view is None else float(np.radians(field_of_view))
     camera = Camera(
         projection.value, width, rows, float(np.radians(around if azimuth is None else azimuth)),
@@ -196,7 +190,7 @@ def render(
                 continue
             picture = rendered(
                 sky, camera, sun_zenith=float(np.radians(frame.zenith)), sun_azimuth=float(np.radians(frame.azimuth)),
-                sun=sun.value, **asked,
+                sun_seen_zenith=float(np.radians(frame.seen)), sun=sun.value, **asked,
             )  # fmt: skip
             if sun is SunName.lamp:
                 picture.save_lamp(frame.path.with_suffix(".lamp.json"))
@@ -227,6 +221,6 @@ def _told_of(frames, out: Path) -> None:
 
 def _size(text: str) -> tuple[int, int]:
     width, cross, height = text.partition("x")
-    if not (cross and width.isdigit() and height.isdigit()):
+    if not (cross and width.isdigit() and height.isdigit() and int(width) and int(height)):
         raise ValueError(f"`--size` must be WxH in pixels, such as 1024x512, got {text!r}")
     return int(width), int(height)
