@@ -61,16 +61,30 @@ def test_air_of_one_density_is_the_closed_form(x64):
 
 @pytest.mark.slow
 def test_two_observers_of_another_solver_see_the_air_between_them():
-    """What the nearer one does not see of the farther one's sky, in flat air by sasktran2: all orders, 0.5 %."""
-    rise, sun, view = 2000.0, 60.0, [30.0, 60.0, 80.0]
-    haze = skyfit.Atmosphere.from_turbidity(3.0).replace(ozone=None)
-    bands = np.array([450.0, 550.0, 650.0])
-    near, far = (sasktran2_stokes(haze, sun, view, [40.0] * 3, bands, height_m=h)[0] for h in (0.0, rise))
-    scene = skyfit.Scene.from_degrees(
-        sun, skyfit.Directions.from_degrees(view, [40.0] * 3), bands, irradiance="unit", height=0.0
-    )
-    path = Spherical.normal().path(haze, scene, jnp.asarray(rise / np.cos(np.radians(view)), float))
-    np.testing.assert_allclose(path.inscatter, near - np.asarray(path.transmittance) * far, rtol=5e-3)
+    """What the nearer one does not see of the farther one's sky, on a sphere by sasktran2: all orders."""
+    sun, bands = np.radians(60.0), np.array([450.0, 550.0, 650.0])
+    zenith, turn = np.radians([30.0, 60.0, 80.0]), np.radians(40.0)
+    away, haze = np.array([2e3, 4e3, 1e4]), HAZY.replace(ozone=None)
+    up = skyfit.Directions(zenith, np.full(3, turn))
+    scene = skyfit.Scene(sun, 0.0, up, bands, np.ones(3), 0.0)
+    path = Spherical.normal().path(haze, scene, jnp.asarray(away, float))
+    asked = {"geometry": "spherical", "sun_positions": 5}
+    near = sasktran2_stokes(haze, 60.0, np.degrees(zenith), np.degrees([turn] * 3), bands, **asked)[0]
+    toward = np.array([np.sin(sun), 0.0, np.cos(sun)])
+    for k in range(3):
+        view = np.array([np.sin(zenith[k]) * np.cos(turn), np.sin(zenith[k]) * np.sin(turn), np.cos(zenith[k])])
+        place = np.array([0.0, 0.0, 6371e3]) + away[k] * view
+        vertical = place / np.linalg.norm(place)
+        rise, height = np.arccos(vertical @ view), float(np.linalg.norm(place) - 6371e3)
+        flat = [v - (v @ vertical) * vertical for v in (view, toward)]
+        between = np.arccos(flat[0] @ flat[1] / np.linalg.norm(flat[0]) / np.linalg.norm(flat[1]))
+        seen = sasktran2_stokes(
+            haze, float(np.degrees(np.arccos(vertical @ toward))), [np.degrees(rise)], [np.degrees(between)], bands,
+            height_m=height, **asked,
+        )[0, 0]  # fmt: skip
+        between = near[k] - np.asarray(path.transmittance[k]) * seen
+        # what Spherical states of a radiance, here of the nearer one's
+        assert np.all(np.abs(path.inscatter[k] - between) < 7e-3 * near[k])
 
 
 def test_slopes_by_haze_and_distance_are_those_of_differences(x64):
@@ -101,11 +115,11 @@ def test_shade_takes_light_from_the_air():
 @pytest.mark.slow
 @pytest.mark.parametrize("thickness", (100.0, 40.0))
 def test_fog_on_top_of_the_atmosphere_there_is_has_all_orders(x64, thickness):
-    """Of optical depth 2, beside discrete ordinates in flat layers: from within, up, and along 50 m and 300 m of it."""
+    """Of optical depth 2, beside discrete ordinates in flat layers, but for the aureole."""
     fog = skyfit.Droplets.fog(2.0 / thickness, thickness, phase=skyfit.HenyeyGreenstein(0.85))
     air = HAZY.replace(fog=fog)
     assert air.names == ("rayleigh", "aerosol", "ozone", "fog")
-    up = skyfit.Directions.from_degrees([0.0, 45.0, 75.0, 85.0, 45.0, 75.0, 85.0], [0.0] * 4 + [150.0] * 3)
+    up = skyfit.Directions.from_degrees([0.0, 45.0, 75.0, 85.0, 45.0, 75.0, 85.0], [45.0] * 4 + [150.0] * 3)
     scene = skyfit.Scene.from_degrees(50.0, up, ONE)
     found = Spherical.normal().radiance(air, scene)
     np.testing.assert_allclose(found, OrdersOfScattering.fine("flat").radiance(air, scene), rtol=0.03)

@@ -9,7 +9,7 @@ from skies import SPHERE
 from test_air import HAZY, SMALL
 
 import skyfit
-from skyfit.image import luts as tables
+from skyfit.image.luts import luts as tables
 from skyfit.image.render import SPECTRUM, sunlight
 from skyfit.light import SRGB_FROM_XYZ, xyz
 from skyfit.scene import Directions
@@ -60,7 +60,7 @@ def test_tables_read_as_engines_read_them_are_the_solver(monkeypatch, tmp_path):
         path = skyfit.SingleScattering().path(
             HAZY, scene(np.arccos(cosine[[k]]), np.zeros(1), height), np.array([np.inf])
         )
-        light = linear(sunlight() * np.asarray(path.transmittance)) / linear(sunlight()[None])
+        light = linear(path.transmittance * np.asarray(sunlight())[None]) / linear(np.asarray(sunlight())[None])
         np.testing.assert_allclose(passed[k], np.clip(light[0], 0.0, 1.0), atol=3e-3)
 
     node, weight = np.polynomial.legendre.leggauss(24)

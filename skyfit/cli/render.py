@@ -175,11 +175,11 @@ def render(
             raise ValueError("`--until` must come with `--time`, `--at` and `--frames`, without an angle of the sun")
         todo = frames_of(out, time, until, frames, at, SEA_LEVEL_PRESSURE, lowest)
         around = todo[len(todo) // 2].azimuth
-    width, rows = (0, 0) if size is None else _size(size)
+    pixels = {} if size is None else _size(size)
     view = None if field_of_view is None else float(np.radians(field_of_view))
     camera = Camera(
-        projection.value, width, rows, float(np.radians(around if azimuth is None else azimuth)),
-        float(np.radians(elevation)), view, mirror,
+        projection.value, **pixels, azimuth=float(np.radians(around if azimuth is None else azimuth)),
+        elevation=float(np.radians(elevation)), field_of_view=view, mirrored=mirror,
     )  # fmt: skip
     if until is not None:
         begin(out, todo, {name: value for name, value in context.params.items() if name != "out"})
@@ -219,8 +219,8 @@ def _told_of(frames, out: Path) -> None:
         console.print(f"written: {sheet}", highlight=False)
 
 
-def _size(text: str) -> tuple[int, int]:
+def _size(text: str) -> dict[str, int]:
     width, cross, height = text.partition("x")
-    if not (cross and width.isdigit() and height.isdigit() and int(width) and int(height)):
+    if not (cross and width.isdigit() and height.isdigit()):
         raise ValueError(f"`--size` must be WxH in pixels, such as 1024x512, got {text!r}")
-    return int(width), int(height)
+    return {"width": int(width), "height": int(height)}

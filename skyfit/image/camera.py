@@ -13,7 +13,8 @@ Projection = Literal["equirect", "fisheye", "cube", "perspective"]
 Mapping = Literal["equidistant", "equisolid", "stereographic"]
 # pixels on a side
 _LARGEST = 32768.0
-# width and height where nothing is said
+# stands for the width and height that are usual for a projection
+_USUAL = -1
 _SIZES = {"equirect": (1024, 512), "fisheye": (1024, 1024), "cube": (1536, 256), "perspective": (1024, 576)}
 # right, up and ahead of each face of a cube, on the axes right, up and ahead of who looks at its fifth
 _FACES = np.array([
@@ -46,7 +47,7 @@ def _angle_of(mapping: Mapping, length):
 
 @dataclass(frozen=True)
 class Camera:
-    """A picture of `width` by `height` pixels; 0, or left out: as large as its projection usually is.
+    """A picture of `width` by `height` pixels; both left out: as large as its projection usually is.
 
     - "equirect": the whole sphere, the zenith as its top row, the azimuth growing to the right.
     - "fisheye": looks up; the angle t from the zenith is half of `field_of_view` at the nearer edges, beyond which
@@ -69,8 +70,8 @@ class Camera:
     """
 
     projection: Projection = "equirect"
-    width: int = 0
-    height: int = 0
+    width: int = _USUAL
+    height: int = _USUAL
     azimuth: float = np.pi
     elevation: float = 0.0
     field_of_view: float | None = None
@@ -82,7 +83,7 @@ class Camera:
     def __post_init__(self):
         if self.projection not in get_args(Projection):
             raise ValueError(f"`projection` must be one of {', '.join(get_args(Projection))}, got {self.projection!r}")
-        if not self.width and not self.height:
+        if self.width == self.height == _USUAL:
             for name, usual in zip(("width", "height"), _SIZES[self.projection], strict=True):
                 object.__setattr__(self, name, usual)
         for name in ("width", "height"):
