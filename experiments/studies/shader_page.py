@@ -67,7 +67,8 @@ gl.drawArrays(gl.TRIANGLES, 0, 3);
 def by_browser() -> np.ndarray:
     """The page as chromium shows it, `[row, column, 3]`, 8 bits."""
     words = {
-        "size": str(SIZE), "half": f"{0.5 * SIZE:.1f}", "evaluator": evaluator(skyfit.ExtendedPreetham.shipped(), "glsl"),
+        "size": str(SIZE), "half": f"{0.5 * SIZE:.1f}",
+        "evaluator": evaluator(skyfit.ExtendedPreetham.shipped(), "glsl"),
         "sun": ", ".join(f"{v:.9f}" for v in np.asarray(unit_vectors(SUN, AZIMUTH))), "white": f"{WHITE:.1f}",
         "turbidity": f"{TURBIDITY:.6f}", "sun_zenith": f"{SUN:.9f}",
     }  # fmt: skip
