@@ -124,6 +124,7 @@ def render(
     An .exr holds cd/m2, and which way it is up in its comments.
     """
     import math
+    from dataclasses import replace
 
     import jax
     import numpy as np
@@ -175,12 +176,14 @@ def render(
             raise ValueError("`--until` must come with `--time`, `--at` and `--frames`, without an angle of the sun")
         todo = frames_of(out, time, until, frames, at, SEA_LEVEL_PRESSURE, lowest)
         around = todo[len(todo) // 2].azimuth
-    pixels = {} if size is None else _size(size)
     view = None if field_of_view is None else float(np.radians(field_of_view))
     camera = Camera(
-        projection.value, **pixels, azimuth=float(np.radians(around if azimuth is None else azimuth)),
+        projection.value, azimuth=float(np.radians(around if azimuth is None else azimuth)),
         elevation=float(np.radians(elevation)), field_of_view=view, mirrored=mirror,
     )  # fmt: skip
+    if size is not None:
+        width, rows = _size(size)
+        camera = replace(camera, width=width, height=rows)
     if until is not None:
         begin(out, todo, {name: value for name, value in context.params.items() if name != "out"})
     with progress("rendering") as report:
@@ -219,8 +222,8 @@ def _told_of(frames, out: Path) -> None:
         console.print(f"written: {sheet}", highlight=False)
 
 
-def _size(text: str) -> dict[str, int]:
+def _size(text: str) -> tuple[int, int]:
     width, cross, height = text.partition("x")
     if not (cross and width.isdigit() and height.isdigit()):
         raise ValueError(f"`--size` must be WxH in pixels, such as 1024x512, got {text!r}")
-    return {"width": int(width), "height": int(height)}
+    return int(width), int(height)

@@ -25,7 +25,6 @@ from .render import EYE, SPECTRUM, sunlight
 TRANSMITTANCE, MULTIPLE, SKY_VIEW, VOLUME = (256, 64), (32, 32), (192, 108), (32, 32, 32)
 # m, what a slice of the volume is deep in the mean
 _SLICE = 4000.0
-_LARGEST_HALF = 65504.0
 # how a texel is found, for who reads the files
 _WORDS = {
     "transmittance": "Of the sun's light to the top of the air, by place and direction. r = earth_radius_m + height, "
@@ -76,10 +75,9 @@ def luts(
     zenith, turn = _sky_view_views(height)
     sky = coloured(along(path, zenith, sun_azimuth + turn, np.full(zenith.size, np.inf)))
     east, north, up = _frustum(camera).reshape(3, -1)
-    far = 1e3 * 128.0 * (np.arange(1, VOLUME[2] + 1) / VOLUME[2]) ** 2
-    views = np.arctan2(np.hypot(east, north), up), np.arctan2(east, north)
-    ends = np.repeat(far, east.size)
-    air = coloured(along(path, *(np.tile(v, VOLUME[2]) for v in views), ends))
+    far = _SLICE * VOLUME[2] * (np.arange(1, VOLUME[2] + 1) / VOLUME[2]) ** 2
+    zenith, azimuth = (np.tile(v, VOLUME[2]) for v in (np.arctan2(np.hypot(east, north), up), np.arctan2(east, north)))
+    air = coloured(along(path, zenith, azimuth, np.repeat(far, east.size)))
     volume = np.concatenate([air.inscatter, np.mean(air.transmittance, axis=1, keepdims=True)], axis=1)
     # a row of the picture holds that row of every slice
     volume = volume.reshape(VOLUME[2], VOLUME[1], VOLUME[0], 4).transpose(1, 0, 2, 3).reshape(VOLUME[1], -1, 4)
@@ -149,7 +147,7 @@ def write_luts(
 
 
 def _scale(light: np.ndarray) -> float:
-    """The power of two that brings the largest value to between a half and one of half precision's thousands."""
+    """The power of two over which the largest value is 512 to 1024: well within half precision."""
     largest = float(np.max(light[..., :3], initial=0.0))
     return 2.0 ** np.ceil(np.log2(largest / 1024.0)) if largest > 0.0 else 1.0
 
