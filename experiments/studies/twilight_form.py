@@ -2,8 +2,8 @@
 
     python -m experiments.studies.twilight_form
 
-Skies of `Spherical` at five turbidities are fitted by `ExtendedPreetham` with its range of suns drawn out to 96 degrees,
-and each alone by Perez' five parameters; both are told of suns between those of the fit. Writes
+Skies of `Spherical` at five turbidities are fitted by `ExtendedPreetham` with its range of suns drawn out to 96
+degrees, and each alone by Perez' five parameters; errors are told of suns between those of the fit too. Writes
 experiments/results/twilight_form.json, medians and 95th percentiles over directions to 80 degrees by the sun's place.
 """
 
