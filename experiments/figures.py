@@ -27,6 +27,7 @@ BARS = HERE / "results" / "error_bars.json"
 TWILIGHT = HERE / "results" / "twilight.json"
 SUNLIGHT = HERE / "results" / "sunlight.json"
 CONTINUITY = HERE / "results" / "continuity.json"
+LIGHTING, SHADER = HERE / "results" / "lighting.json", HERE / "results" / "shader_page.json"
 GEOMETRIES = ("flat", "spherical")
 TABLES = "<!-- figures of experiments/results/accuracy.json -->", "<!-- end of figures -->"
 SUMMARY = "<!-- summary of experiments/results -->", "<!-- end of summary -->"
@@ -439,7 +440,9 @@ def ground_to_space(record: dict) -> str:
     return "\n".join(lines)
 
 
-def validated(record, iprt, space, recovery, almucantar, measured, bars, twilight, sunlight, continuity, aerial) -> str:
+def validated(
+    record, iprt, space, recovery, almucantar, measured, bars, twilight, sunlight, continuity, aerial, lighting, shader
+) -> str:
     """What was compared, with whose, what came out, and which files say so: in three parts, by who made the other."""
 
     def row(what, whose, figure, script, result):
@@ -523,6 +526,15 @@ def validated(record, iprt, space, recovery, almucantar, measured, bars, twiligh
             "no step through sunset", "itself, every 0.01° of the sun",
             f"what bends from one to the next is {100 * jumps:.2g} % at most", f"{folder}/continuity", "continuity",
         ),
+        row(
+            "planes lit by a rendered map and its lamp", "mitsuba",
+            f"{100 * lighting['worst']:.2g} % at most from the solver's irradiance", f"{folder}/lighting", "lighting",
+        ),
+        row(
+            "the exported shader in a browser", "chromium, WebGL 2",
+            f"{shader['largest_step_of_8_bits']} step of 8 bits at most from `sky.rgb`", "studies/shader_page",
+            "shader_page",
+        ),
         "",
         "## Measured",
         "",
@@ -600,7 +612,7 @@ def updated() -> dict[pathlib.Path, str]:
     readme = between(README.read_text(), SUMMARY, summary(record, measured, recovery, refit, read(SPACE)))
     readme = between(readme, PRINTED, f"```\n{record['sample']['printed']}\n```")
     compared = (record, read(IPRT), read(SPACE), recovery, read(ALMUCANTARS), measured, read(BARS))
-    compared += (read(TWILIGHT), read(SUNLIGHT), read(CONTINUITY), read(AERIAL))
+    compared += (read(TWILIGHT), read(SUNLIGHT), read(CONTINUITY), read(AERIAL), read(LIGHTING), read(SHADER))
     return {
         README: readme,
         ACCURACY: between(ACCURACY.read_text(), TABLES, tables_of),

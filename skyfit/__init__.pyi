@@ -52,11 +52,13 @@ from .atmosphere import (
 )
 from .draw import plot as plot
 from .image import (
+    air_to as air_to,
     Camera as Camera,
     Image as Image,
     Panorama as Panorama,
     read_panorama as read_panorama,
     render as render,
+    write_luts as write_luts,
 )
 from .light import daylight as daylight, srgb as srgb, srgb_from_linear as srgb_from_linear, xyY as xyY, xyz as xyz
 from .measured import (

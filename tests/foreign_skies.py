@@ -124,13 +124,14 @@ def sasktran2_stokes(
     layers: int = 120,
     sun_positions: int = 3,
     moments: int = 128,
+    height_m: float = 0.0,
 ) -> np.ndarray:
     """I, Q and U by sasktran2 per unit irradiance, `[component, direction, wavelength]`; I alone if not `polarised`.
 
-    Azimuths from the sun's. Optical depths, profiles and the moments of phase functions and scattering matrices are
-    skyfit's. Single scattering is exact, multiple scattering by discrete ordinates (flat layers under a spherical beam
-    too). Scalar and flat, it is within 0.03 % (median 0.005 %) of 48 streams and 400 layers, and of nanodisort with 32
-    streams; polarised see `vector_skies.py`. Its Q and U are skyfit's.
+    Azimuths from the sun's; the observer at `height_m`. Optical depths, profiles and the moments of phase functions and
+    scattering matrices are skyfit's. Single scattering is exact, multiple scattering by discrete ordinates (flat layers
+    under a spherical beam too). Scalar and flat, it is within 0.03 % (median 0.005 %) of 48 streams and 400 layers, and
+    of nanodisort with 32 streams; polarised see `vector_skies.py`. Its Q and U are skyfit's.
     """
     import sasktran2 as sk
 
@@ -165,7 +166,7 @@ def sasktran2_stokes(
     # in the zenith its frame is the sun's meridian for light scattered once, the azimuth's for the rest
     overhead = np.asarray(zenith_deg) == 0.0
     for zenith, azimuth in zip(np.radians(zenith_deg), np.where(overhead, 0.0, np.radians(azimuth_deg)), strict=True):
-        views.add_ray(sk.SolarAnglesObserverLocation(cos_sun, float(azimuth), float(np.cos(zenith)), 0.0))
+        views.add_ray(sk.SolarAnglesObserverLocation(cos_sun, float(azimuth), float(np.cos(zenith)), height_m))
     result = sk.Engine(config, model, views).calculate_radiance(air)
     stokes = result["radiance"].transpose("stokes", "los", "wavelength").to_numpy()
     if polarised:

@@ -9,7 +9,7 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from skyfit.analytic import pixels, Preetham
+from skyfit.analytic import ExtendedPreetham, pixels, Preetham
 from skyfit.draw.dome import place
 from skyfit.light import SRGB_FROM_XYZ, xyY
 from skyfit.scene import Directions, fisheye, hemisphere, Scene, unit_vectors
@@ -170,6 +170,23 @@ def test_pixels_are_the_matrix_times_the_tristimulus_values(turbidity, sun, doub
         exact = np.asarray(Preetham.published().xyz(turbidity, scene(sun, hemisphere(500)))) @ SRGB_FROM_XYZ.T
     got = np.asarray(model.rgb(turbidity, *vectors(at))).T
     np.testing.assert_allclose(got, exact, atol=(1e-7 if double else 1e-5) * np.abs(exact).max())
+
+
+def test_colours_outside_the_screens_range_are_kept_paled_or_flagged(double):
+    """At the horizon of thin haze under a low sun; of a batch, what is out of range is NaN too."""
+    model, at = ExtendedPreetham.shipped(), scene(88.0, hemisphere(600))
+    kept, pale, none = (np.asarray(model.rgb(1.7, *vectors(at), outside=name)) for name in ("kept", "pale", "nan"))
+    low = kept.min(axis=0) < 0.0
+    assert 0 < low.sum() < 20 and kept.min() < -1000.0 and pale.min() > -1e-6 * kept.max()
+    assert np.isnan(none[:, low]).all()
+    np.testing.assert_array_equal(none[:, ~low], kept[:, ~low])
+    np.testing.assert_allclose(pale[:, ~low], kept[:, ~low], rtol=1e-6)
+    weight = np.array([0.2126, 0.7152, 0.0722])
+    np.testing.assert_allclose(weight @ pale, weight @ kept, rtol=1e-4)
+    batch = jax.vmap(lambda t: model.rgb(t, *vectors(at), outside="nan"))(jnp.asarray([0.2, 3.0, 30.0]))
+    assert np.isnan(batch[0]).all() and np.isfinite(batch[1]).any() and np.isnan(batch[2]).all()
+    with pytest.raises(ValueError, match="`outside` must be one of kept, pale, nan"):
+        model.rgb(3.0, *vectors(at), outside="clip")
 
 
 def test_pixels_of_an_image_are_those_of_its_directions(double):

@@ -236,6 +236,8 @@ def test_the_command_writes_a_refitted_sky(skyfit_command, tmp_path):
         (("export", "extended", "--to", "c", "--out", "x.h", "--turbidity", 3), "together"),
         (("export", "extended", "--to", "c", "--out", "no/x.h"), "--out"),
         (("export", "published", "--to", "c", "--out", "x.h", "--turbidity", 3, "--sun-zenith", 95), "0 and 90"),
+        (("export", "extended", "--to", "c", "--out", "x.h", "--height", 5), "`--height` must be left out"),
+        (("export", "extended", "--to", "lut", "--out", "x", "--sun-zenith", 60), "spherical, or the file"),
     ):
         refused = skyfit_command(*words, cwd=tmp_path, check=False)
         assert refused.returncode == 2 and part in refused.stderr

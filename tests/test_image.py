@@ -145,6 +145,25 @@ def test_the_disc_keeps_its_light_at_any_resolution(camera):
         assert 0.4 < darker[1] < 0.7 and darker[2] < darker[1] < darker[0]
 
 
+def test_a_picture_is_as_large_as_its_projection_usually_is():
+    sizes = {name: (c.width, c.height) for name in ("equirect", "cube", "fisheye") for c in [skyfit.Camera(name)]}
+    assert sizes == {"equirect": (1024, 512), "cube": (1536, 256), "fisheye": (1024, 1024)}
+    with pytest.raises(ValueError, match="`height` must be between 1 and"):
+        skyfit.Camera("equirect", 64)
+
+
+def test_the_disc_stands_where_the_sun_is_seen():
+    """Light comes from half way between the true and the apparent sun; the disc, and the lamp, are at the apparent."""
+    camera = skyfit.Camera("perspective", 200, 100, azimuth=SUN["sun_azimuth"], elevation=0.03, field_of_view=0.15)
+    seen = np.radians(88.0)
+    asked = {"turbidity": 3.0, "sun_zenith": np.radians(88.3), "sun_azimuth": SUN["sun_azimuth"]}
+    with_disc = skyfit.render(EXTENDED, camera, **asked, sun_seen_zenith=seen)
+    disc = with_disc.xyz[..., 1] - skyfit.render(EXTENDED, camera, **asked, sun="none").xyz[..., 1]
+    place = np.einsum("rc,xrc->x", disc, camera.views()) / disc.sum()
+    assert np.arccos(place[2] / np.linalg.norm(place)) == pytest.approx(seen, abs=2e-4)
+    assert with_disc.lamp.sun_zenith == seen
+
+
 def test_a_sun_that_the_camera_does_not_see_leaves_no_light():
     camera = skyfit.Camera("perspective", 32, 32, azimuth=0.0, elevation=0.3, field_of_view=1.0)
     picture = np.zeros((32, 32, 3))

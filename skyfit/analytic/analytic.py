@@ -1,6 +1,7 @@
 """What every analytic sky answers: luminance and chromaticity by Perez' form times their zenith values."""
 
 from abc import abstractmethod
+from typing import get_args, Literal
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,9 @@ from ..numerics import check_radians, check_unit_vectors, concrete, Ranged, safe
 from ..scene import above_horizon, angle_between, Scene
 from . import pixels
 from .perez import Perez
+
+
+Outside = Literal["kept", "pale", "nan"]
 
 
 class AbstractAnalyticSky(Ranged):
@@ -99,13 +103,16 @@ class AbstractAnalyticSky(Ranged):
         turbidity: Float[ArrayLike, ""],
         sun: Float[ArrayLike, "3"],
         view: Float[Array, "3 ..."],
+        outside: Outside = "kept",
     ) -> Float[Array, "3 ..."]:
         r"""The sky as linear sRGB in many directions, fast: for images, see `skyfit.scene.fisheye`.
 
-        **Arguments:** `turbidity`, dimensionless; `sun` and `view`, unit vectors east, north, up, the components first.
+        **Arguments:** `turbidity`, dimensionless; `sun` and `view`, unit vectors east, north, up, the components first;
+        `outside`, what becomes of colours outside the screen's range: "kept", with a negative component; "pale", mixed
+        with grey of their luminance until none is negative; "nan", and so everywhere where `valid` is False, which
+        flags the skies of a batch.
         **Returns:** red, green, blue in cd m^-2, `[3, direction]`: white of that luminance has three equal values.
-        Times an exposure and through `skyfit.light.srgb_from_linear` it is a pixel. Not clipped: a colour outside the
-        screen's range has a negative component. 0 below the horizon, z < -1e-6.
+        Times an exposure and through `skyfit.light.srgb_from_linear` it is a pixel. 0 below the horizon, z < -1e-6.
         **Valid:** as `radiance`; vectors of length 1, else `ValueError` where they are not traced; float32 within 1e-5
         of the largest component, against `xyz` in float64. Fast outside jit, where it runs as three programs; within
         another one, it is right and slower.
@@ -116,12 +123,19 @@ class AbstractAnalyticSky(Ranged):
             raise ValueError(
                 f"`sun` and `view` must have east, north, up as their first axis, got {sun.shape} and {view.shape}"
             )
+        if outside not in get_args(Outside):
+            raise ValueError(f"`outside` must be one of {', '.join(get_args(Outside))}, got {outside!r}")
         _check_scalar(turbidity)
         check_unit_vectors("sun", sun)
         check_unit_vectors("view", view)
         sun_zenith, rows = _rows(self, turbidity, sun)
         self._check(turbidity, sun_zenith)
-        return pixels.linear_srgb(*pixels.tristimulus(rows[:, 5], rows[:, :5], *pixels.geometry(sun, view)))
+        found = pixels.linear_srgb(*pixels.tristimulus(rows[:, 5], rows[:, :5], *pixels.geometry(sun, view)))
+        if outside == "pale":
+            return pixels.paled(found)
+        if outside == "nan":
+            return jnp.where(self.valid(turbidity, sun_zenith) & (jnp.min(found, axis=0) >= 0.0)[None], found, jnp.nan)
+        return found
 
     def frame(self, turbidity: Float[ArrayLike, ""], theta_sun: Float[ArrayLike, ""]) -> Float[Array, "3 6"]:
         """All that one sky is, in 18 numbers: of Y (cd m^-2), x and y each A, B, C, D, E and the zenith's value over F.

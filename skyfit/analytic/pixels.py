@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..light import SMALLEST_Y, SRGB_FROM_XYZ
+from ..light import SMALLEST_Y, SRGB_FROM_XYZ, SRGB_LUMINANCE
 from ..numerics import safe_sqrt
 from ..scene import LOWEST_VISIBLE
 from .perez import LARGEST_EXPONENT, LOWEST_COSINE
@@ -90,3 +90,13 @@ def linear_srgb(
     r"""Linear sRGB of X, Y and X + Y + Z, in their unit. **Source:** IEC 61966-2-1:1999."""
     rows = SRGB_FROM_XYZ.tolist()
     return jnp.stack([(of_x - of_z) * first + (of_y - of_z) * luminance + of_z * total for of_x, of_y, of_z in rows])
+
+
+@jax.jit
+def paled(rgb: Float[Array, "3 ..."]) -> Float[Array, "3 ..."]:
+    """Colours mixed with grey of their luminance until no component is negative; the luminance stays."""
+    red, green, blue = SRGB_LUMINANCE.tolist()
+    grey = jnp.maximum(red * rgb[0] + green * rgb[1] + blue * rgb[2], 0.0)
+    least = jnp.minimum(jnp.min(rgb, axis=0), 0.0)
+    share = jnp.where(least < 0.0, grey / jnp.where(least < 0.0, grey - least, 1.0), 1.0)
+    return grey[None] + share[None] * (rgb - grey[None])

@@ -56,12 +56,6 @@ class SpaceName(StrEnum):
     xyz = "xyz"
 
 
-_SIZES = {
-    ProjectionName.equirect: (1024, 512), ProjectionName.fisheye: (1024, 1024), ProjectionName.cube: (1536, 256),
-    ProjectionName.perspective: (1024, 576),
-}  # fmt: skip
-
-
 @command("render", "skyfit render --sun-zenith 85 --turbidity 3 --out dusk.png")
 def render(
     context: typer.Context,
@@ -135,6 +129,7 @@ def render(
     An .exr holds cd/m2, and which way it is up in its comments.
     """
     import math
+    from dataclasses import replace
 
     import jax
     import numpy as np
@@ -149,7 +144,7 @@ def render(
     from .models import analytic_of, atmosphere_of, make_solver
     from .printing import give, progress, say
     from .sequence import begin, Frame, frames_of
-    from .sun import sun_of
+    from .sun import seen_at, sun_of
 
     # a picture needs no more than float32
     context.with_resource(jax.enable_x64(False))
@@ -186,7 +181,7 @@ def render(
         if frames is not None:
             raise ValueError("`--frames` must come with `--until`")
         zenith, around, _ = sun_of(sun_zenith, sun_azimuth, time, at, SEA_LEVEL_PRESSURE, lowest)
-        todo = [Frame(out, time, zenith, around)]
+        todo = [Frame(out, time, zenith, around, seen_at(zenith, time, at, SEA_LEVEL_PRESSURE))]
     else:
         if sun_zenith is not None or sun_azimuth is not None:
             raise ValueError("`--until` must come with `--time`, `--at` and `--frames`, without an angle of the sun")
@@ -200,12 +195,14 @@ def render(
         assert isinstance(sky, Atmosphere)
         choice = chosen_for(((sky, scene) for scene in scenes), allowed)
         asked["solver"] = choice.solver
-    width, rows = _SIZES[projection] if size is None else _size(size)
     view = None if field_of_view is None else float(np.radians(field_of_view))
     camera = Camera(
-        projection.value, width, rows, float(np.radians(around if azimuth is None else azimuth)),
-        float(np.radians(elevation)), view, mirror,
+        projection.value, azimuth=float(np.radians(around if azimuth is None else azimuth)),
+        elevation=float(np.radians(elevation)), field_of_view=view, mirrored=mirror,
     )  # fmt: skip
+    if size is not None:
+        width, rows = _size(size)
+        camera = replace(camera, width=width, height=rows)
     if until is not None:
         begin(out, todo, {name: value for name, value in context.params.items() if name != "out"})
     with progress("rendering") as report:
@@ -215,7 +212,7 @@ def render(
                 continue
             picture = rendered(
                 sky, camera, sun_zenith=float(np.radians(frame.zenith)), sun_azimuth=float(np.radians(frame.azimuth)),
-                sun=sun.value, **asked,
+                sun_seen_zenith=float(np.radians(frame.seen)), sun=sun.value, **asked,
             )  # fmt: skip
             if sun is SunName.lamp:
                 picture.save_lamp(frame.path.with_suffix(".lamp.json"))
@@ -234,7 +231,7 @@ def render(
     pictures = [
         {"file": str(f.path), "time": f.time, "sun_zenith_deg": f.zenith, "sun_azimuth_deg": f.azimuth} for f in todo
     ]
-    give({"pictures": pictures, "projection": projection.value, "width": width, "height": rows})
+    give({"pictures": pictures, "projection": projection.value, "width": camera.width, "height": camera.height})
 
 
 def _told_of(frames, out: Path) -> None:

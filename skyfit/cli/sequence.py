@@ -11,16 +11,17 @@ import numpy as np
 from ..measured import atomic
 from ..measured.writing import skyfit_version
 from .options import in_range
-from .sun import moment_in, sun_of
+from .sun import moment_in, seen_at, sun_of
 
 
 class Frame(NamedTuple):
-    """A picture to be made: its file, its time as text, and its sun, degrees."""
+    """A picture to be made: its file, its time as text, its sun, degrees, and the zenith angle it is seen at."""
 
     path: Path
     time: str | None
     zenith: float
     azimuth: float
+    seen: float
 
     @property
     def title(self) -> str:
@@ -47,7 +48,8 @@ def frames_of(
             zenith, azimuth, _ = sun_of(None, None, time, at, pressure, lowest)
         except ValueError as error:
             raise ValueError(f"frame {number + 1}, {time}: {error}") from None
-        found.append(Frame(out.with_name(f"{out.stem}.{number + 1:04d}{out.suffix}"), time, zenith, azimuth))
+        path = out.with_name(f"{out.stem}.{number + 1:04d}{out.suffix}")
+        found.append(Frame(path, time, zenith, azimuth, seen_at(zenith, time, at, pressure)))
     return found
 
 

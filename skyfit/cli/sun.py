@@ -30,6 +30,14 @@ def sun_of(
     return zenith, azimuth, about | {"latitude_deg": latitude, "longitude_deg": longitude}
 
 
+def seen_at(zenith: float, time: str | None, at: str | None, pressure: float) -> float:
+    """Where the sun of `sun_of` is seen, degrees from the zenith: refraction lifts it wholly; else as it is given."""
+    if time is None or at is None:
+        return zenith
+    found, _ = solar_position(np.array([moment_in("--time", time)]), *_place(at), pressure=pressure)
+    return round(float(np.degrees(found[0])), 10)
+
+
 def moment_in(name: str, text: str) -> np.datetime64:
     """The time of an option."""
     try:

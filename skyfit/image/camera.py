@@ -13,6 +13,9 @@ Projection = Literal["equirect", "fisheye", "cube", "perspective"]
 Mapping = Literal["equidistant", "equisolid", "stereographic"]
 # pixels on a side
 _LARGEST = 32768.0
+# stands for the width and height that are usual for a projection
+_USUAL = -1
+_SIZES = {"equirect": (1024, 512), "fisheye": (1024, 1024), "cube": (1536, 256), "perspective": (1024, 576)}
 # right, up and ahead of each face of a cube, on the axes right, up and ahead of who looks at its fifth
 _FACES = np.array([
     [[0, 0, -1], [0, 1, 0], [1, 0, 0]], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
@@ -44,7 +47,7 @@ def _angle_of(mapping: Mapping, length):
 
 @dataclass(frozen=True)
 class Camera:
-    """A picture of `width` by `height` pixels.
+    """A picture of `width` by `height` pixels; both left out: as large as its projection usually is.
 
     - "equirect": the whole sphere, the zenith as its top row, the azimuth growing to the right.
     - "fisheye": looks up; the angle t from the zenith is half of `field_of_view` at the nearer edges, beyond which
@@ -67,8 +70,8 @@ class Camera:
     """
 
     projection: Projection = "equirect"
-    width: int = 1024
-    height: int = 512
+    width: int = _USUAL
+    height: int = _USUAL
     azimuth: float = np.pi
     elevation: float = 0.0
     field_of_view: float | None = None
@@ -80,6 +83,9 @@ class Camera:
     def __post_init__(self):
         if self.projection not in get_args(Projection):
             raise ValueError(f"`projection` must be one of {', '.join(get_args(Projection))}, got {self.projection!r}")
+        if self.width == self.height == _USUAL:
+            for name, usual in zip(("width", "height"), _SIZES[self.projection], strict=True):
+                object.__setattr__(self, name, usual)
         for name in ("width", "height"):
             check_range(name, getattr(self, name), 1.0, _LARGEST, "pixels")
         if self.projection == "cube" and self.width != 6 * self.height:
@@ -129,7 +135,7 @@ class Camera:
             angle = self._angle(length)
             sine = np.sin(angle) / np.where(length > 0.0, length, 1.0)
             return np.stack([sine * x * self._east, sine * y, np.cos(angle)]).astype(np.float32)
-        right, up, ahead = self._axes
+        right, up, ahead = self.axes
         views = ahead[:, None, None] * self._focal + right[:, None, None] * x + up[:, None, None] * y
         return (views / np.linalg.norm(views, axis=0)).astype(np.float32)
 
@@ -178,7 +184,7 @@ class Camera:
             row = np.clip(0.5 * self.height * (1.0 - y / depth), 0.0, last)
             column = face * self.height + np.clip(0.5 * self.height * (1.0 + x / depth), 0.0, last)
         else:
-            x, y, depth = (axis @ views for axis in self._axes)
+            x, y, depth = (axis @ views for axis in self.axes)
             # what is behind falls outside
             depth = np.where(depth > 1e-9, depth, np.nan)
             row, column = 0.5 * self.height - self._focal * y / depth, 0.5 * self.width + self._focal * x / depth
@@ -229,8 +235,8 @@ class Camera:
         return _FACES @ np.array([[cosine, -sine, 0.0], [0.0, 0.0, 1.0], [sine, cosine, 0.0]])
 
     @property
-    def _axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Right, up and ahead."""
+    def axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Right, up and ahead of a perspective picture: unit vectors east, north, up."""
         sine, cosine = np.sin(self.azimuth), np.cos(self.azimuth)
         slope, level = np.sin(self.elevation), np.cos(self.elevation)
         right = np.array([cosine, -sine, 0.0]) * self._east

@@ -35,6 +35,7 @@ def render(
     *,
     sun_zenith: float,
     sun_azimuth: float = np.pi,
+    sun_seen_zenith: float | None = None,
     turbidity: float | None = None,
     solver: AbstractSolver | None = None,
     height: float = EYE,
@@ -44,10 +45,11 @@ def render(
     """A picture of the sky, of the ground below it, and of the sun.
 
     **Arguments:** `sky`, an atmosphere, or an analytic sky with its `turbidity`; `camera`, by default the whole sphere
-    in 1024 by 512 pixels; `sun_zenith`, `sun_azimuth` clockwise from north, rad; `solver` of an atmosphere, by default
-    `Spherical.normal()`; `height` of the observer, m, other than an eye's for `Spherical` alone;
-    `sun`: "disc" of the true size, or left out of the picture ("none", "lamp": `Image.lamp` has its light in any case);
-    `ground_albedo` below an analytic sky, an atmosphere has its own.
+    in 1024 by 512 pixels; `sun_zenith`, `sun_azimuth` clockwise from north, rad, from where light comes in straight
+    rays; `sun_seen_zenith`, where refraction shows the disc, whose beam comes through as much air, None: `sun_zenith`;
+    `solver` of an atmosphere, by default `Spherical.normal()`; `height` of the observer, m, other than an eye's for
+    `Spherical` alone; `sun`: "disc" of the true size, or left out of the picture ("none", "lamp": `Image.lamp` has its
+    light in any case); `ground_albedo` below an analytic sky, an atmosphere has its own.
     **Returns:** `Image`, X, Y, Z in cd m^-2. **Errors:** `ValueError` for what the solver or the sky does not know.
     **Valid:** a solver is asked for 18000 directions (12000 without ground), between which the light is interpolated,
     within 0.5 %, in the first fifth of a degree under the horizon 2 % (tests); an analytic sky for every pixel. Below
@@ -62,6 +64,8 @@ def render(
     """
     camera = Camera() if camera is None else camera
     sun_zenith, sun_azimuth, height = float(sun_zenith), float(sun_azimuth), float(height)
+    seen_zenith = sun_zenith if sun_seen_zenith is None else float(sun_seen_zenith)
+    check_range("sun_seen_zenith", seen_zenith, 0.0, np.pi, "rad")
     if sun not in ("disc", "none", "lamp"):
         raise ValueError(f'`sun` must be "disc", "none" or "lamp", got {sun!r}')
     check_range("height", height, 0.0, 1e9, "m")
@@ -71,13 +75,13 @@ def render(
         solver = Spherical.normal() if solver is None else solver
         made_by = type(solver).__name__
         check_height(height, solver)
-        pixels, beam, horizon = _of_solver(solver, sky, sun_zenith, sun_azimuth, height)
+        pixels, beam, horizon = _of_solver(solver, sky, sun_zenith, sun_azimuth, seen_zenith, height)
     else:
         if turbidity is None or solver is not None:
             raise ValueError("an analytic sky must come with `turbidity`, and without `solver`")
         made_by, horizon = type(sky).__name__, 0.5 * np.pi
         check_height(height, sky)
-        pixels, beam = _of_formula(sky, turbidity, sun_zenith, sun_azimuth, ground_albedo)
+        pixels, beam = _of_formula(sky, turbidity, sun_zenith, sun_azimuth, seen_zenith, ground_albedo)
     rows = max(_PIXELS // camera.width, 1)
     picture = np.empty((camera.height, camera.width, 3), np.float32)
     for first in range(0, camera.height, rows):
@@ -86,9 +90,9 @@ def render(
         seen = camera.solid_angle(row, column)[..., None] > 0.0
         picture[first : first + rows] = seen * pixels(views.reshape(3, -1)).reshape(*views.shape[1:], 3)
     if sun == "disc":
-        add_disc(picture, camera, sun_zenith, sun_azimuth, beam, horizon)
+        add_disc(picture, camera, seen_zenith, sun_azimuth, beam, horizon)
     return Image(
-        picture, camera, Lamp(sun_zenith, sun_azimuth, (float(beam[0]), float(beam[1]), float(beam[2]))), made_by
+        picture, camera, Lamp(seen_zenith, sun_azimuth, (float(beam[0]), float(beam[1]), float(beam[2]))), made_by
     )
 
 
@@ -99,16 +103,18 @@ def check_height(height: float, asked: AbstractSolver | AbstractAnalyticSky) -> 
         raise ValueError(f"`height` must be left at {EYE:g} m with {name}: Spherical alone knows other heights here")
 
 
-def _sunlight():
+def sunlight():
     """Of the spectrum's wavelengths and what lies between them."""
     return extraterrestrial_irradiance(SPECTRUM, float(SPECTRUM[1] - SPECTRUM[0]))
 
 
-def _of_solver(solver: AbstractSolver, sky: Atmosphere, sun_zenith: float, sun_azimuth: float, height: float):
+def _of_solver(
+    solver: AbstractSolver, sky: Atmosphere, sun_zenith: float, sun_azimuth: float, seen_zenith: float, height: float
+):
     """X, Y, Z of views, and of the beam of the sun; the zenith angle of the horizon."""
     aloft = isinstance(solver, Spherical) and height > 0.0
     one = Directions(np.zeros(1), np.zeros(1))
-    scene = Scene(sun_zenith, sun_azimuth, one, SPECTRUM, _sunlight(), height if aloft else None)
+    scene = Scene(sun_zenith, sun_azimuth, one, SPECTRUM, sunlight(), height if aloft else None)
 
     def seen(views: Directions) -> Scene:
         return Scene(sun_zenith, sun_azimuth, views, SPECTRUM, scene.solar_irradiance, scene.height)
@@ -135,9 +141,9 @@ def _of_solver(solver: AbstractSolver, sky: Atmosphere, sun_zenith: float, sun_a
     table = LightTable(light, sun_zenith, air, horizon, aloft)
     constituents = sky.constituents
     profiles = [c.profile for c in constituents]
-    column = slant_columns(profiles, as_float(height if aloft else 0.0), jnp.cos(scene.sun_zenith), "spherical")
+    column = slant_columns(profiles, as_float(height if aloft else 0.0), jnp.cos(as_float(seen_zenith)), "spherical")
     depth = column @ optics(constituents, scene.wavelength_nm).extinction
-    beam = np.asarray(xyz(jnp.exp(-depth) * scene.solar_irradiance, SPECTRUM)) * (sun_zenith < horizon)
+    beam = np.asarray(xyz(jnp.exp(-depth) * scene.solar_irradiance, SPECTRUM)) * (seen_zenith < horizon)
     ground = None
     if not aloft:
         fluxes = solver.fluxes(sky, scene)
@@ -158,16 +164,18 @@ def _tangent(radius: float, height: float) -> float:
     return float(np.arcsin(radius / (EARTH_RADIUS + height)))
 
 
-def _of_formula(sky: AbstractAnalyticSky, turbidity: float, sun_zenith: float, sun_azimuth: float, albedo: float):
+def _of_formula(
+    sky: AbstractAnalyticSky, turbidity: float, sun_zenith: float, sun_azimuth: float, seen_zenith: float, albedo: float
+):
     """X, Y, Z of views, and of the beam of the sun."""
     check_range("ground_albedo", albedo, 0.0, 1.0)
     sun = unit_vectors(sun_zenith, sun_azimuth)
     matrix = np.linalg.inv(SRGB_FROM_XYZ).astype(np.float32)
     dome = Camera("equirect", 128, 128)
     above = dome.views(0, 64)
-    scene = Scene(sun_zenith, sun_azimuth, Directions(np.zeros(1), np.zeros(1)), SPECTRUM, _sunlight())
+    scene = Scene(seen_zenith, sun_azimuth, Directions(np.zeros(1), np.zeros(1)), SPECTRUM, sunlight())
     beam = np.zeros(3)
-    if np.cos(sun_zenith) > 0.0:
+    if np.cos(seen_zenith) > 0.0:
         beam = np.asarray(xyz(Sunlight(max(turbidity, 1.0)).irradiance(scene), SPECTRUM))
     rgb = np.asarray(sky.rgb(turbidity, sun, jnp.asarray(above)))
     size = dome.solid_angle(np.arange(64.0), np.zeros(64))

@@ -102,13 +102,14 @@ class Stokes(NamedTuple):
 class Path(NamedTuple):
     """What the air between the eye and objects does to their light, `[direction, wavelength]` each.
 
-    `transmittance`, dimensionless, in [0, 1]; `inscatter`, W m^-2 sr^-1 nm^-1.
+    `transmittance`, dimensionless, in [0, 1]; `inscatter`, W m^-2 sr^-1 nm^-1. Of a picture, by `air_to`, both are
+    `[row, column, channel]`.
     """
 
-    transmittance: Float[Array, "direction wavelength"]
-    inscatter: Float[Array, "direction wavelength"]
+    transmittance: Float[Array, "*direction wavelength"]
+    inscatter: Float[Array, "*direction wavelength"]
 
-    def over(self, background: Float[Array, "direction wavelength"]) -> Float[Array, "direction wavelength"]:
+    def over(self, background: Float[Array, "*direction wavelength"]) -> Float[Array, "*direction wavelength"]:
         r"""Objects seen through the air, $F_{ex} L_0 + L_{in}$ (Hoffman & Preetham 2002, eq. 1).
 
         **Arguments:** `background` $L_0$, the objects' own radiance. **Returns:** the unit of `background`.

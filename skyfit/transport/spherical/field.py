@@ -18,7 +18,7 @@ from ..single import single_scattering_of
 from ..views import end_points, eye_columns, Points, points_at, Views, views_of
 from . import harmonics as sun_harmonics
 from .first import sun_on_ground
-from .grid import dusk, height_coordinate, NEAR_CLIMB, Resolution, sun_coordinate, sun_weights
+from .grid import CLIMB, dusk, height_coordinate, Resolution, sun_coordinate, sun_weights
 from .medium import completed, Medium, medium_of, per_metre
 from .transfer import FINER_LEVELS, FINER_SUNS, orders_of, Solution, tabled
 
@@ -98,6 +98,20 @@ class SphericalField(eqx.Module):
         """Irradiance on the ground and, as `up_at_top`, what leaves the air above it, W m^-2 nm^-1."""
         self._check(scene)
         return self._fluxes(scene)
+
+    def mean_radiance(
+        self, height: Float[Array, " place"], sun_zenith: Float[Array, " place"]
+    ) -> Float[Array, "place wavelength"]:
+        r"""Diffuse light from all sides, $\frac{1}{4\pi} \int L\, d\omega$, per unit solar irradiance, sr^-1.
+
+        **Arguments:** `height`, m, and `sun_zenith`, rad, of places in the air. **Valid:** within what the field was
+        solved for; the sun's beam is not in it, and what haze scatters into its forward peak counts as beam (delta-M).
+        """
+        check_range("height", height, 0.0, np.inf, "m")
+        check_range("sun_zenith", sun_zenith, 0.0, np.pi, "rad")
+        levels = cubic_weights(height_coordinate(as_float(height), self.resolution), self.resolution.levels)
+        rows = jnp.einsum("pl,ps,lsw->pw", levels, self._suns(as_float(sun_zenith)), self.solution.moments[:, :, 0])
+        return rows / (4.0 * np.pi)
 
     def _check(self, scene: Scene) -> None:
         suns, highest = concrete(self.suns_deg), concrete(self.highest)
@@ -218,7 +232,7 @@ def _multiple(
     place = sun_coordinate(zenith, resolution.sun_step) - field.sun_place[0]
     table = field.solution.fine
     first, suns = linear(FINER_SUNS * place, table.shape[1])
-    height = height_coordinate(points.height, resolution.levels)
+    height = height_coordinate(points.height, resolution)
     level, rows = linear(FINER_LEVELS * height, table.shape[0])
     weight = jnp.stack([across * up for across in suns for up in rows]) * dusk(zenith)[None]
     factor = jnp.stack(basis, axis=-1) * share[None, None, :travelling]
@@ -304,7 +318,7 @@ def _emitters(field: SphericalField, medium: Medium, views: Views, count: int):
     The weights $e^{-\tau} \beta ds$ of a view sum to $1 - e^{-\tau}$ exactly.
     """
     profiles = [c.profile for c in field.atmosphere.constituents]
-    distance, step = _nodes(views, count)
+    distance, step = _nodes(views, count, CLIMB * field.resolution.near)
     points, ends = points_at(views, distance), end_points(views, "spherical")
     every = Points(*(jnp.concatenate(pair, axis=1) for pair in zip(points, ends, strict=True)))
     column = jnp.einsum("cdn,cw->dnw", eye_columns(profiles, views, every, "spherical"), medium.extinction)
@@ -319,15 +333,18 @@ def _emitters(field: SphericalField, medium: Medium, views: Views, count: int):
     return distance, points, emitted
 
 
-def _nodes(views: Views, count: int):
-    """Distances of nodes on both sides of the lowest point of each view and the steps they stand for, m."""
+def _nodes(views: Views, count: int, near: float):
+    """Distances of nodes on both sides of the lowest point of each view and the steps they stand for, m.
+
+    `near`, m: the climb from there over which they crowd.
+    """
     radius = EARTH_RADIUS + views.height
     lowest = jnp.clip(-radius * views.cosine, views.entry, views.length)
     pieces = [(lowest, views.length - lowest, 1.0)]
     if views.aloft:
         pieces.append((lowest, lowest - views.entry, -1.0))
     start = points_at(views, lowest[:, None])
-    scale = length_scale(EARTH_RADIUS + start.height, jnp.abs(start.view_cosine), NEAR_CLIMB)
+    scale = length_scale(EARTH_RADIUS + start.height, jnp.abs(start.view_cosine), near)
     x, share = (jnp.asarray(v, scale.dtype)[None] for v in gauss_legendre(count))
     distances, steps = [], []
     for low, extent, sign in pieces:

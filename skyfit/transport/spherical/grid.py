@@ -11,10 +11,10 @@ from ...numerics import cubic_weights, gauss_legendre, library_of
 from ..columns import EARTH_RADIUS, TOP_OF_AIR
 
 
-# heights are hc (exp(a x^p) - 1) of even x: hc in m and p, dense where haze lies
-_NEAR, _POWER = 1e3, 1.5
-# m; nodes of a path crowd over this height above its lowest point
-NEAR_CLIMB = 2e3
+# heights are near (exp(a x^p) - 1) of even x: dense where haze lies
+_POWER = 1.5
+# nodes of a path crowd over the height above its lowest point that is this many times `near`
+CLIMB = 2.0
 # degrees: the step between suns, even above this zenith angle and wider below it by this much a degree
 _EVEN_ABOVE, _WIDER = 86.0, 0.3
 # the light of twilight falls as exp(-0.8 z) with the sun's zenith angle z in degrees, from about 93 on, to 130
@@ -33,6 +33,7 @@ class Resolution(NamedTuple):
     first_nodes: int
     view_nodes: int
     once_nodes: int
+    near: float
 
 
 class Rays(NamedTuple):
@@ -59,17 +60,17 @@ class Rays(NamedTuple):
     end_cosine: np.ndarray
 
 
-def level_heights(levels: int) -> np.ndarray:
+def level_heights(resolution: Resolution) -> np.ndarray:
     """Heights of the levels, m, from the ground to the top of the air."""
-    x = np.arange(levels) / (levels - 1)
-    return _NEAR * np.expm1(math.log1p(TOP_OF_AIR / _NEAR) * x**_POWER)
+    x = np.arange(resolution.levels) / (resolution.levels - 1)
+    return resolution.near * np.expm1(math.log1p(TOP_OF_AIR / resolution.near) * x**_POWER)
 
 
-def height_coordinate(height: Any, levels: int) -> Any:
+def height_coordinate(height: Any, resolution: Resolution) -> Any:
     """The place of heights (m) among the levels, 0 to `levels` - 1; numpy's of numpy's."""
-    xp = library_of(height)
-    share = xp.log1p(xp.clip(height, 1e-3, TOP_OF_AIR) / _NEAR) / math.log1p(TOP_OF_AIR / _NEAR)
-    return (levels - 1) * share ** (1.0 / _POWER)
+    xp, near = library_of(height), resolution.near
+    share = xp.log1p(xp.clip(height, 1e-3, TOP_OF_AIR) / near) / math.log1p(TOP_OF_AIR / near)
+    return (resolution.levels - 1) * share ** (1.0 / _POWER)
 
 
 def sun_coordinate(zenith: Any, step: float) -> Any:
@@ -110,7 +111,7 @@ def rays_of(resolution: Resolution) -> Rays:
     Zenith cosines by Gauss in three panels, the sky above the level, what lies between it and the ground's horizon, and
     the ground; dense toward both horizons. Nodes by Gauss in the logarithm of the distance from the lowest point.
     """
-    height = level_heights(resolution.levels)
+    height = level_heights(resolution)
     radius = EARTH_RADIUS + height
     horizon = -np.sqrt(height * (2.0 * EARTH_RADIUS + height)) / radius
     (up, up_weight), (flat, flat_weight), (down, down_weight) = (gauss_legendre(count) for count in resolution.zeniths)
@@ -137,7 +138,7 @@ def rays_of(resolution: Resolution) -> Rays:
     for z, start, extent, sign in pieces:
         lowest = _after(radius, cosine[:, z], start)
         slope = np.maximum((along[:, z] + start) * sign, 0.0)
-        climb = NEAR_CLIMB * (2.0 * lowest + NEAR_CLIMB)
+        climb = CLIMB * resolution.near * (2.0 * lowest + CLIMB * resolution.near)
         scale = (climb / (np.sqrt(slope**2 + climb) + slope))[:, None]
         span = np.log1p(extent[:, None] / scale)
         distance = start[:, None] + sign * scale * np.expm1(span * x)
@@ -156,7 +157,7 @@ def rays_of(resolution: Resolution) -> Rays:
         cosine=cosines,
         distance=distances,
         step=steps,
-        between=cubic_weights(height_coordinate(heights, resolution.levels), resolution.levels),
+        between=cubic_weights(height_coordinate(heights, resolution), resolution.levels),
         ray=place,
         length=length,
         end_height=end - EARTH_RADIUS,
