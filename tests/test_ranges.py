@@ -41,7 +41,7 @@ VIEW = {"zenith": [0.3, 0.5], "azimuth": [0.0, 0.1]}
 LINES = {"table_wavelength_nm": [400.0, 700.0]}
 # a class, arguments that are right, and of each field the ends of its range
 RANGES = [
-    (skyfit.Spherical, {}, {"sun_step": (0.2, 5.0)}),
+    (skyfit.Spherical, {}, {"sun_step": (0.2, 5.0), "near": (1.0, 1e4)}),
     (skyfit.Bruneton, {}, {"lowest_sun": (-0.9, -0.01)}),
     (
         Aerosol, {"optical_depth": 0.1},
