@@ -238,7 +238,9 @@ def _of_solver(
         ("one order", "more orders"), ("two orders", "all orders"), ("flat Earth", "curved paths"),
         ("no polarisation", "kept"), ("few wavelengths", "every wavelength is solved"),
     ):  # fmt: skip
-        if effect in offered and not (effect == "two orders" and "one order" in used):
+        # one order is scalar, and so are two: theirs is in what they leave out
+        implied = {"two orders": {"one order"}, "no polarisation": {"one order", "two orders"}}.get(effect, set())
+        if effect in offered and not implied & used:
             name = "polarisation" if effect == "no polarisation" else effect
             word = "left out" if effect == "no polarisation" else "used"
             said.append(f"{name} {_percent(errors.of_one(effect))}: {word if effect in used else instead}")
