@@ -43,6 +43,8 @@ class Sky:
     - `aerosol_optical_depth`, `aerosol_optical_depth_sigma`: of the vertical column at each wavelength, as photometers
       have it of that beam, air and gases taken out, [time, wavelength], NaN where missing; or None
     - `instrument`: what took the samples, in words; may be empty
+    - `follows_sun`: whether it finds the sun by itself, and so knows where it looks; views that move between the
+      wavelengths say so too
     - `calibration_sigma`: standard deviation of the scale of each wavelength, relative, which all times share; NaN if
       unknown. `sigma` is that of the noise alone then
     - `masked`: reason -> count of samples that are not usable for it; `reason`: of each sample the place of its reason
@@ -85,6 +87,7 @@ class Sky:
     reason: np.ndarray | None = None
     notes: tuple[str, ...] = ()
     instrument: str = ""
+    follows_sun: bool = False
     source: str = ""
 
     def __post_init__(self):
@@ -111,6 +114,7 @@ class Sky:
         for name in (*STATION_RANGES, "calibration_sigma"):
             object.__setattr__(self, name, float(getattr(self, name)))
         object.__setattr__(self, "notes", tuple(self.notes))
+        object.__setattr__(self, "follows_sun", self.follows_sun or self.view_zenith_by_wavelength is not None)
         for name in ("view_zenith", "view_azimuth"):
             value = getattr(self, name)
             if value.ndim == 1 and value.shape == self.radiance.shape[1:2]:

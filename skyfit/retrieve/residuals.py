@@ -52,13 +52,28 @@ class Priors(NamedTuple):
     """Gaussian priors on each parameter's scale: centre and one over sigma (0: none), in the order own, shared.
 
     `calibration`: one over the sigma of a wavelength's scale, None where the scale is exact. `step`: one over the sigma
-    of the change between two neighbours in time.
+    of the change between two neighbours in time. `smooth`: combinations of parameters, on their scales and over the
+    sigma, that are 0 before the data are seen, none mixed of own and shared.
     """
 
     centre: Float[Array, " parameter"]
     inverse_sigma: Float[Array, " parameter"]
     calibration: Float[Array, ""] | None
     step: Float[Array, "step own"]
+    smooth: Float[Array, "row parameter"]
+
+    def rows(self) -> Float[Array, "row parameter"]:
+        """The slopes of what is told of the parameters one by one, then of their combinations."""
+        return jnp.concatenate([jnp.diag(self.inverse_sigma), self.smooth])
+
+    def residual(self, scaled: Float[Array, " parameter"]) -> Float[Array, " row"]:
+        """`rows` at the parameters' places on their scales."""
+        return jnp.concatenate([(scaled - self.centre) * self.inverse_sigma, self.smooth @ scaled])
+
+    def of(self, which: slice) -> "Priors":
+        """Those of some of the parameters."""
+        centre, inverse_sigma = self.centre[which], self.inverse_sigma[which]
+        return self._replace(centre=centre, inverse_sigma=inverse_sigma, smooth=self.smooth[:, which])
 
 
 class Weighing(NamedTuple):
@@ -148,17 +163,17 @@ def columns_of(choices: Choices, one: Problem, known: Known, calibration, unit) 
 
 
 def reduced_rows(choices: Choices, rows, right, slope, prior_right):
-    """One time's rows as few, with a row for the prior of each of its own parameters.
+    """One time's rows as few, with those of the priors of its own parameters.
 
-    **Arguments:** `rows` `[row, column]`, columns as of `columns_of`; `right` `[row, side]`; slopes and right-hand
-    sides of the own parameters' priors.
+    **Arguments:** `rows` `[row, column]`, columns as of `columns_of`; `right` `[row, side]`; slopes `[row, own]` and
+    right-hand sides of the own parameters' priors.
     **Returns:** own, common (the channels' scales last), right.
     """
     count = len(choices.own)
     own, common, right = reduced(rows[:, :count], rows[:, count:], right, rows.shape[1] + 1)
-    nothing = jnp.zeros((count, common.shape[1]), common.dtype)
+    nothing = jnp.zeros((slope.shape[0], common.shape[1]), common.dtype)
     return (
-        jnp.concatenate([own, jnp.diag(slope)]),
+        jnp.concatenate([own, slope]),
         jnp.concatenate([common, nothing]),
         jnp.concatenate([right, prior_right]),
     )
@@ -218,8 +233,9 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
         channels = problem.measured.shape[2]
         shared, calibration = here.shared[: len(choices.shared)], calibration_of(choices, here, channels)
         scaled, steep = jax.vmap(lambda own: _with_slope(choices.own, own))(here.own) if count else (here.own, here.own)
-        strength = priors.inverse_sigma[None, :count] * weighing.excess[:, None]
-        prior, tight = (scaled - priors.centre[None, :count]) * strength, steep * strength
+        mine = priors.of(slice(0, count))
+        prior = jax.vmap(mine.residual)(scaled) * weighing.excess[:, None]
+        tight = mine.rows()[None] * steep[:, None] * weighing.excess[:, None, None]
 
         def at(item):
             own, one, weighing, tight, prior = item
@@ -237,7 +253,7 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
         move = jax.tree.map(jnp.subtract, point, here)
         data = right[..., 0] + jnp.einsum("trp,tp->tr", own, move.own) + jnp.einsum("trs,s->tr", common, move.shared)
         stepped = step + link * (steep[1:] * move.own[1:] - steep[:-1] * move.own[:-1])
-        return Rows(data, shared_value + shared_slope * move.shared, stepped), known
+        return Rows(data, shared_value + shared_slope @ move.shared, stepped), known
 
     return rows
 
@@ -249,19 +265,24 @@ def instrument_gain(calibration, one: Problem) -> Float[Array, " sample"]:
 
 
 def shared_priors(choices: Choices, shared, priors: Priors, excess):
-    """Residuals of the shared parameters' and the scales' priors, and their slopes."""
+    """Residuals of the shared parameters' and the scales' priors, and their slopes `[row, shared]`."""
     count, first = len(choices.shared), len(choices.own)
-    value, slope = shared[:0], shared[:0]
+    value, slope = shared[:0], jnp.zeros((0, count), shared.dtype)
     if count:
         scaled, steep = _with_slope(choices.shared, shared[:count])
-        strength = priors.inverse_sigma[first:] * excess
-        value, slope = (scaled - priors.centre[first:]) * strength, steep * strength
+        mine = priors.of(slice(first, None))
+        value, slope = mine.residual(scaled) * excess, mine.rows() * steep[None] * excess
     if priors.calibration is None:
         return value, slope
     scales = shared[count:] * priors.calibration
-    return jnp.concatenate([value, scales]), jnp.concatenate(
-        [slope, jnp.broadcast_to(priors.calibration, scales.shape)]
-    )
+    return jnp.concatenate([value, scales]), with_scales(slope, priors.calibration, scales.size)
+
+
+def with_scales(rows: Float[Array, "row shared"], calibration, scales: int) -> Float[Array, "row column"]:
+    """The priors' rows of the shared parameters with a column and a row for each channel's scale after them."""
+    own = jnp.diag(jnp.full(scales, calibration, rows.dtype))
+    above = jnp.pad(rows, ((0, 0), (0, scales)))
+    return jnp.concatenate([above, jnp.pad(own, ((0, 0), (rows.shape[1], 0)))])
 
 
 def cost(choices: Choices, priors: Priors, point: Point, residual, weighing: Weighing) -> Float[Array, ""]:
@@ -270,7 +291,7 @@ def cost(choices: Choices, priors: Priors, point: Point, residual, weighing: Wei
     count = len(choices.own)
     if count:
         scaled = jax.vmap(lambda own: on_scale(choices.own, own))(point.own)
-        strength = priors.inverse_sigma[None, :count] * weighing.excess[:, None]
-        total += jnp.sum(((scaled - priors.centre[None, :count]) * strength) ** 2)
+        prior = jax.vmap(priors.of(slice(0, count)).residual)(scaled)
+        total += jnp.sum((prior * weighing.excess[:, None]) ** 2)
         total += jnp.sum(((scaled[1:] - scaled[:-1]) * priors.step * weighing.of_all()) ** 2)
     return 0.5 * (total + jnp.sum(shared_priors(choices, point.shared, priors, weighing.of_all())[0] ** 2))

@@ -65,7 +65,8 @@ def retrieve(
     times = problem.measured.shape[0]
     if priors is None:
         nothing = jnp.zeros(len(free), dtype)
-        priors = Priors(nothing, nothing, None, jnp.zeros((times - 1, len(choices.own)), dtype))
+        none = jnp.zeros((0, len(free)), dtype)
+        priors = Priors(nothing, nothing, None, jnp.zeros((times - 1, len(choices.own)), dtype), none)
     if start is None:
         point = jnp.stack([PARAMETERS[n].free_of(model) for n in choices.names]).astype(dtype)
         own, common = point[: len(choices.own)], point[len(choices.own) :]

@@ -135,6 +135,7 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
             notes=head.notes + notes,
             made_by=head.made_by,
             calibration_sigma=head.calibration_sigma,
+            follows_sun=head.follows_sun,
             angles_known=known,
             turned=bool(note),
             response=eye if response is None else response,

@@ -36,7 +36,7 @@ class Contents:
     `angles_known`: the file said radians, so that no small angle is suspicious; `turned`: azimuths are in the
     instrument's own frame. `direct`, `direct_sigma`: irradiance of the sun's beam and its standard deviation,
     W m^-2 nm^-1, [time, wavelength]; `aerosol_depth`, `aerosol_depth_sigma` likewise. `response`: of the channels that
-    stand in the place of wavelengths.
+    stand in the place of wavelengths. `instrument` and `follows_sun` as in `Sky`.
     """
 
     name: str
@@ -55,6 +55,7 @@ class Contents:
     aerosol_depth: np.ndarray | None = None
     aerosol_depth_sigma: np.ndarray | None = None
     instrument: str = ""
+    follows_sun: bool = False
     calibration_sigma: float = float("nan")
     station: dict[str, float] = field(default_factory=dict)
     saturation: float | None = None
@@ -128,6 +129,7 @@ def screened(found: Contents) -> Sky:
             view_zenith_by_wavelength=moving[0],
             view_azimuth_by_wavelength=moving[1],
             instrument=found.instrument,
+            follows_sun=found.follows_sun,
             calibration_sigma=found.calibration_sigma,
             masked=masked,
             reason=reason,

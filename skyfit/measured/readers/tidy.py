@@ -157,6 +157,7 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
             notes=notes,
             made_by=head.made_by,
             calibration_sigma=head.calibration_sigma,
+            follows_sun=head.follows_sun,
             response=response,
             rows={axis: rows.tolist() for axis, rows in first.items()},
         )

@@ -112,7 +112,7 @@ def degrees(radians: np.ndarray) -> np.ndarray:
 
 
 def attributes(sky: Sky) -> dict[str, float]:
-    """The station, line shape and calibration of `sky`, by their names in files; what is NaN is left out."""
+    """The station, line shape, calibration and tracking of `sky`, by their names in files; what is NaN is left out."""
     values = {
         "latitude": sky.latitude_deg,
         "longitude": sky.longitude_deg,
@@ -122,5 +122,6 @@ def attributes(sky: Sky) -> dict[str, float]:
         "ozone_du": sky.ozone_du,
         "sun_distance_au": sky.sun_distance_au,
         "calibration_sigma": sky.calibration_sigma,
+        "follows_sun": 1.0 if sky.follows_sun else np.nan,
     }
     return {name: float(value) for name, value in values.items() if np.isfinite(value)}
