@@ -49,7 +49,8 @@ def effective_radii(volume: np.ndarray) -> tuple[float, float]:
     """Of what is fine and what is coarse, parted where there is least between `PARTING`."""
     between = (RADII > PARTING[0]) & (RADII < PARTING[1])
     fine = RADII[between][np.argmin(volume[between])] > RADII
-    return tuple(float(volume[part].sum() / (volume / RADII)[part].sum()) for part in (fine, ~fine))
+    small, large = (float(volume[part].sum() / (volume / RADII)[part].sum()) for part in (fine, ~fine))
+    return small, large
 
 
 def case_row(number: int) -> dict | None:
@@ -90,14 +91,14 @@ def parts(rows: list[dict], name: str, key: str) -> np.ndarray:
 
 
 def summary(rows: list[dict]) -> dict:
-    record = {"cases": len(rows), "counted_um": COUNTED, "successful": sum(r["result"] == "successful" for r in rows)}
+    successful, quantities = sum(row["result"] == "successful" for row in rows), {}
     counted = (BIN_RADII >= COUNTED[0]) & (BIN_RADII <= COUNTED[1])
     for name in rows[0]["true"]:
         true, found, sigma = (parts(rows, name, key) for key in ("true", "found", "sigma"))
         true, some = np.broadcast_to(true, found.shape), counted if found.shape[1] == BIN_RADII.size else slice(None)
         off = (found - true)[:, some]
         relative = off / true[:, some]
-        record[name] = {
+        quantities[name] = {
             "within_2_sigma": float(np.mean(np.abs(off) <= 2.0 * sigma[:, some])),
             "median_sigma_relative": float(np.median(sigma[:, some] / found[:, some])),
             "rms": float(np.sqrt(np.mean(off**2))),
@@ -105,7 +106,7 @@ def summary(rows: list[dict]) -> dict:
             "within_10_percent": float(np.mean(np.abs(relative) <= 0.1)),
             "numbers": int(off.size),
         }
-    return record
+    return {"cases": len(rows), "counted_um": COUNTED, "successful": successful, "quantities": quantities}
 
 
 def main():
@@ -120,13 +121,8 @@ def main():
             print(number, "too thin", flush=True)
             continue
         rows.append(row)
-        z = (np.array(row["found"][n]) - np.array(row["true"][n]) for n in ("volume_size_distribution",))
-        z = next(z) / np.array(row["sigma"]["volume_size_distribution"])
-        radii = [
-            (round(row["found"][f"{m}_effective_radius"] / row["true"][f"{m}_effective_radius"], 2))
-            for m in ("fine", "coarse")
-        ]
-        print(number, row["result"], row["steps"], f"{row['seconds']:.0f} s", z.round(1).tolist(), radii, flush=True)
+        told = {name: v["within_2_sigma"] for name, v in summary([row])["quantities"].items()}
+        print(number, row["result"], row["steps"], f"{row['seconds']:.0f} s", told, flush=True)
         # what is done stays
         RESULT.write_text(json.dumps({"summary": summary(rows), "cases": rows, "made_with": about}, indent=1) + "\n")
     print(json.dumps(summary(rows), indent=1))
