@@ -12,6 +12,8 @@ from .response import LineShape, Response, Seen
 
 # of each time and wavelength, and of each sample besides, where a sky has them
 _BEAM = "direct_irradiance", "direct_sigma", "aerosol_optical_depth", "aerosol_optical_depth_sigma"
+# of each sample besides
+DEGREE = "degree_of_polarisation", "degree_of_polarisation_sigma"
 _MOVING_VIEWS = "view_zenith_by_wavelength", "view_azimuth_by_wavelength"
 
 
@@ -42,6 +44,8 @@ class Sky:
       [time, wavelength], NaN where missing; None where it was not measured
     - `aerosol_optical_depth`, `aerosol_optical_depth_sigma`: of the vertical column at each wavelength, as photometers
       have it of that beam, air and gases taken out, [time, wavelength], NaN where missing; or None
+    - `degree_of_polarisation`, `degree_of_polarisation_sigma`: of the light of each sample, linear, in [0, 1],
+      [time, direction, wavelength], NaN where missing; or None
     - `instrument`: what took the samples, in words; may be empty
     - `follows_sun`: whether it finds the sun by itself, and so knows where it looks; views that move between the
       wavelengths say so too
@@ -81,6 +85,8 @@ class Sky:
     direct_sigma: np.ndarray | None = None
     aerosol_optical_depth: np.ndarray | None = None
     aerosol_optical_depth_sigma: np.ndarray | None = None
+    degree_of_polarisation: np.ndarray | None = None
+    degree_of_polarisation_sigma: np.ndarray | None = None
     view_zenith_by_wavelength: np.ndarray | None = None
     view_azimuth_by_wavelength: np.ndarray | None = None
     masked: dict[str, int] = field(default_factory=dict)
@@ -91,7 +97,7 @@ class Sky:
     source: str = ""
 
     def __post_init__(self):
-        optional = ("sigma", *_BEAM, *_MOVING_VIEWS)
+        optional = ("sigma", *_BEAM, *DEGREE, *_MOVING_VIEWS)
         angles = ("view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth")
         for name in ("radiance", "wavelength_nm", *angles, *optional):
             value = getattr(self, name)
@@ -213,7 +219,7 @@ class Sky:
         """Some of the times, in the order of `indices`; `masked` as `at` says."""
         part = np.asarray(indices, int)
         along = ("radiance", "sigma", "usable", "view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth", "time")
-        along += (*_BEAM, *_MOVING_VIEWS)
+        along += (*_BEAM, *DEGREE, *_MOVING_VIEWS)
         held = {name: getattr(self, name) for name in along}
         parts = {name: None if value is None else value[part] for name, value in held.items()}
         usable = self.usable[part]
@@ -283,7 +289,7 @@ class Sky:
             reason=None,
             **{
                 name: None if values is None else interpolate(values, turns="azimuth" in name)
-                for name in (*_BEAM, *_MOVING_VIEWS)
+                for name in (*_BEAM, *DEGREE, *_MOVING_VIEWS)
                 for values in (getattr(self, name),)
             },
         )
@@ -298,7 +304,7 @@ class Sky:
             )
         parts = {
             name: value if value is None else value[..., places]
-            for name in ("radiance", "sigma", "usable", "wavelength_nm", *_BEAM)
+            for name in ("radiance", "sigma", "usable", "wavelength_nm", *_BEAM, *DEGREE)
             for value in (getattr(self, name),)
         }
         if self.sun_zenith.ndim > 1:

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -41,6 +42,8 @@ def first_guess(geometry: Geometry, model: SkyModel, free: tuple[str, ...], prob
         return values
     else:
         rows = _rows(first, depth, free)
+    # the level of each channel is free, and nothing else tells of hazes
+    problem = replace(problem, beside=None, beside_weight=None, has_beam=False, has_degree=False)
     costs = np.asarray(_costs(SingleScattering.draft(geometry), model, free, as_float(rows), problem), float)
     best = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
     some = np.asarray(np.any(np.isfinite(costs), axis=0))
@@ -66,7 +69,7 @@ def _left_over(solver, model, free, rows, problem: Problem):
     """What each row of values leaves over at each time, the level of each channel being free within bounds."""
 
     def cost(row, one):
-        light, _ = observe(solver, with_values(model, free, row), one)
+        light = observe(solver, with_values(model, free, row), one).radiance
         weighted = one.weight**2 * light
         norm = jnp.sum(weighted * light, axis=0)
         level = jnp.sum(weighted * one.measured, axis=0) / jnp.where(norm > 0.0, norm, 1.0)

@@ -12,7 +12,7 @@ from ..measured import NoiseModel, Response, Sky, station_pressure, STATION_RANG
 from ..measured.quality.oddities import examine
 from ..numerics import as_float
 from ..numerics.chain import Point
-from ..transport import AbstractSolver, low_sun, OrdersOfScattering
+from ..transport import AbstractSolver, low_sun, OrdersOfScattering, SingleScattering
 from .components import Expected
 from .forward import Problem
 from .guess import first_guess
@@ -158,6 +158,8 @@ def prepared(
     if said and sky.follows_sun:
         sampling.notes.append("pointing held: the instrument follows the sun; `free` names it where it does not")
     sampling.notes += [*_assumed(sky, start, free), *_unlike_its_maker(sky, start, free)]
+    if sky.degree_of_polarisation is not None:
+        _check_polarised((solver, solver if draft is None else draft), measurement)
     chosen = sampling.chosen()
     if chosen.size == 0:
         raise ValueError(f"`sky` has no usable sample at {SPECTRUM_NM[0]:g}-{SPECTRUM_NM[1]:g} nm")
@@ -171,6 +173,19 @@ def prepared(
         sky, free, own, common, solver, draft, start, measurement, known, ties,
         max_steps, sampling, chosen, problem, places, rows, linked,
     )  # fmt: skip
+
+
+def _check_polarised(solvers: tuple[AbstractSolver, ...], measurement: NoiseModel) -> None:
+    known = (isinstance(s, SingleScattering) or isinstance(s, OrdersOfScattering) and s.polarised for s in solvers)
+    if not all(known):
+        raise ValueError(
+            "`solver` must be polarised for degrees of polarisation: OrdersOfScattering.normal(polarised=True)"
+        )
+    if measurement.field_of_view > 0.0:
+        raise ValueError(
+            f"`field_of_view` must be 0 with degrees of polarisation, got {measurement.field_of_view:g}: "
+            "of a cone's rays each has a frame of its own"
+        )
 
 
 def start_at(sky: Sky, free: Sequence[str]) -> SkyModel:

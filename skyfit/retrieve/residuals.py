@@ -96,7 +96,7 @@ class Known(NamedTuple):
     those by the instrument's two pointing offsets in radians. Of one time, or with a time axis in front."""
 
     radiance: Float[Array, "*time direction channel"]
-    direct: Float[Array, "*time channel"] | None
+    beside: Float[Array, "*time other"] | None
     jacobian: Float[Array, "*time sample parameter"]
     turn: Float[Array, "*time direction channel axis"]
 
@@ -115,29 +115,29 @@ def _with_slope(names: tuple[str, ...], free):
     return jax.jvp(lambda v: on_scale(names, v), (free,), (jnp.ones_like(free),))
 
 
-def _samples(one: Problem, radiance, direct):
-    """Sky and direct beam in one row of samples."""
-    return radiance.reshape(-1) if one.direct is None else jnp.concatenate([radiance.reshape(-1), direct])
+def _samples(radiance, beside):
+    """The sky and what is measured besides in one row of samples."""
+    return radiance.reshape(-1) if beside is None else jnp.concatenate([radiance.reshape(-1), beside])
 
 
 def weight_of(one: Problem, weighing: Weighing) -> Float[Array, " sample"]:
-    """The weight of every sample of one time before the loss, 0 where masked; those of the direct beam are the last."""
+    """The weight of every sample of one time before the loss, 0 where masked; those of what is besides are the last."""
     sky = one.weight.reshape(-1) / weighing.scale
-    return sky if one.direct_weight is None else jnp.concatenate([sky, one.direct_weight * weighing.excess])
+    return sky if one.beside_weight is None else jnp.concatenate([sky, one.beside_weight * weighing.excess])
 
 
 def trusted(choices: Choices, threshold, one: Problem, known: Known, calibration, weighing: Weighing) -> Robust:
-    """The weighed residuals of one time after the loss; the direct beam is never trusted less."""
-    residual = _samples(one, known.radiance * calibration[None] - one.measured, beam_residual(one, known))
+    """The weighed residuals of one time after the loss; what is besides is never trusted less."""
+    residual = _samples(known.radiance * calibration[None] - one.measured, beside_residual(one, known))
     plain = residual * weight_of(one, weighing)
     after = robust(plain, choices.loss, threshold)
     sky = jnp.arange(plain.size) < one.measured.size
     return Robust(*(jnp.where(sky, part, end) for part, end in zip(after, (plain, 1.0, 1.0), strict=True)))
 
 
-def beam_residual(one: Problem, known: Known) -> Float[Array, " channel"] | None:
-    """The model's direct beam minus the measured one, or None."""
-    return None if one.direct is None or known.direct is None else known.direct - one.direct
+def beside_residual(one: Problem, known: Known) -> Float[Array, " other"] | None:
+    """Model minus measurement of what is measured besides the radiance, or None."""
+    return None if one.beside is None or known.beside is None else known.beside - one.beside
 
 
 def calibration_of(choices: Choices, point: Point, channels: int) -> Float[Array, " channel"]:
@@ -212,15 +212,16 @@ def linearised(
 
     def read(solver, scaled):
         values = [PARAMETERS[n].from_scale(scaled[i]) for i, n in enumerate(names)]
-        return observe(solver, with_values(fixed, names, values), one)
+        found = observe(solver, with_values(fixed, names, values), one)
+        return found.radiance, found.beside
 
     every = jax.lax.map(lambda point: read(slopes_by or solver, point), points)
-    samples = jax.vmap(lambda sky, beam: _samples(one, sky, beam))(*every)
-    radiance, direct = jax.tree.map(lambda v: v[0], every) if slopes_by is None else read(solver, scaled)
+    samples = jax.vmap(_samples)(*every)
+    radiance, beside = jax.tree.map(lambda v: v[0], every) if slopes_by is None else read(solver, scaled)
     after, before = samples[1 : len(names) + 1], samples[len(names) + 1 :] if both else samples[:1]
     jacobian = ((after - before) / (ahead - behind)[:, None]).T
     turn = jnp.stack([jacobian[: radiance.size, names.index(n)] for n in POINTING], axis=-1) * (180.0 / np.pi)
-    return Known(radiance, direct, jacobian[:, :count], turn.reshape(*radiance.shape, len(POINTING)))
+    return Known(radiance, beside, jacobian[:, :count], turn.reshape(*radiance.shape, len(POINTING)))
 
 
 def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolver | None):
@@ -259,9 +260,9 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
 
 
 def instrument_gain(calibration, one: Problem) -> Float[Array, " sample"]:
-    """The instrument's scale of every sample of one time, 1 for the direct beam."""
+    """The instrument's scale of every sample of one time, 1 for what is besides."""
     sky = jnp.broadcast_to(calibration[None], one.measured.shape).reshape(-1)
-    return sky if one.direct is None else jnp.concatenate([sky, jnp.ones(one.direct.shape[0], sky.dtype)])
+    return sky if one.beside is None else jnp.concatenate([sky, jnp.ones(one.beside.shape[0], sky.dtype)])
 
 
 def shared_priors(choices: Choices, shared, priors: Priors, excess):

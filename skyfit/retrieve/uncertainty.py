@@ -26,7 +26,7 @@ from .loss import robust, typical_size
 from .model_error import model_errors
 from .parameters import PARAMETERS
 from .residuals import (
-    beam_residual,
+    beside_residual,
     bound,
     calibration_of,
     Choices,
@@ -59,7 +59,7 @@ class Estimate(NamedTuple):
     `widening`: by how much more `noise` is widened, because the loss trusts some less; `chi_square` is of all samples
     and the stated noise. `error_share` of each kind of error, the samples' own first, in the squares of all together.
     `residual_correlation` of what is left, between neighbours in wavelength and in direction.
-    `radiance`, `direct`: what the instrument would read of the end. `gain`: d parameter / d radiance of the same time.
+    `radiance`, `beside`: what the instrument would read of the end. `gain`: d parameter / d radiance of the same time.
     `cost`: half the sum of squares after the loss.
     """
 
@@ -76,7 +76,7 @@ class Estimate(NamedTuple):
     widening: Float[Array, " time"]
     error_share: Float[Array, "time kind"]
     residual_correlation: Float[Array, "time neighbour"]
-    direct: Float[Array, "time channel"] | None
+    beside: Float[Array, "time other"] | None
     chi_square: Float[Array, " time"]
     calibration: Float[Array, " channel"]
     calibration_sigma: Float[Array, " channel"]
@@ -304,15 +304,15 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
 
     def at(item):
         one, known, white, errors, sizes, weighing, tied = item
-        samples = jnp.sum(one.weight > 0.0) + (0 if one.direct_weight is None else jnp.sum(one.direct_weight > 0.0))
+        samples = jnp.sum(one.weight > 0.0) + (0 if one.beside_weight is None else jnp.sum(one.beside_weight > 0.0))
         held = samples, times
         residual = known.radiance * calibration[None] - one.measured
         plain = joined(white, whiten(white, residual[..., None])[..., 0])
         wide = _widening(choices, numbers.threshold, plain)
         stated = jnp.sum((residual * one.weight) ** 2)
-        beam = beam_residual(one, known)
-        if beam is not None and one.direct_weight is not None:
-            stated += jnp.sum((beam * one.direct_weight) ** 2)
+        beam = beside_residual(one, known)
+        if beam is not None and one.beside_weight is not None:
+            stated += jnp.sum((beam * one.beside_weight) ** 2)
         columns = columns_of(choices, one, known, calibration, unit)
         trust, rows, effects = _noise_of(choices, numbers.threshold, one, known, calibration, sizes, weighing, columns)
         weight = weight_of(one, weighing) * jnp.sqrt(trust)
@@ -384,7 +384,7 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
         wide,
         shares,
         correlation,
-        known.direct,
+        known.beside,
         chi_square,
         calibration,
         scales_sigma,

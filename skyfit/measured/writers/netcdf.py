@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..readers.netcdf import AXES, BEAM, DEPTH
-from ..samples import Sky
+from ..samples import DEGREE, Sky
 from ..units import IRRADIANCE, LUMINANCE, RADIANCE
 
 
@@ -49,6 +49,9 @@ def write_netcdf(sky: Sky, path: Path) -> None:
     }
     if sky.sigma is not None:
         variables["sigma"] = (whole, sky.sigma, light | {"long_name": "standard deviation of radiance"})
+    for key in DEGREE:
+        if getattr(sky, key) is not None:
+            variables[key] = (whole, getattr(sky, key), {"units": "1", "long_name": f"{key.replace('_', ' ')}, linear"})
     if sky.direct_irradiance is not None:
         about = {"units": IRRADIANCE, "long_name": "irradiance of the sun's beam on a plane normal to it"}
         variables[BEAM] = (whole[::2], sky.direct_irradiance, about)
