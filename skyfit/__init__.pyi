@@ -28,6 +28,7 @@ from .analytic import (
 from .atmosphere import (
     Aerosol as Aerosol,
     Atmosphere as Atmosphere,
+    BinnedAerosol as BinnedAerosol,
     CornetteShanks as CornetteShanks,
     Droplets as Droplets,
     Exponential as Exponential,

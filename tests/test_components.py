@@ -71,7 +71,7 @@ def some_columns(seed, count=6):
 
 @functools.partial(jax.jit, static_argnames="loss")
 def estimate(errors, residual, columns, expected, loss):
-    prior = jnp.zeros(columns.shape[-1])
+    prior = jnp.zeros((0, columns.shape[-1]))
     return components.estimate(errors, residual, columns, prior, expected, loss, jnp.array(3.0))
 
 
@@ -152,7 +152,7 @@ def test_what_the_others_hold_is_a_broad_error_where_it_is_broad(x64):
     level = np.asarray(wrong.common[..., 0])
     residual = drawn(wrong, sizes(1.0, 0.0, 0.0, 0.0), 3) + 0.05 * level
     anything = Expected(jnp.array([5e-4, 3e-4, 2e-4, 5e-4, 3e-4]), jnp.ones(5), jnp.array(1.0))
-    given = wrong, jnp.asarray(residual), jnp.asarray(level[..., None]), jnp.zeros(1), anything, "huber"
+    given = wrong, jnp.asarray(residual), jnp.asarray(level[..., None]), jnp.zeros((0, 1)), anything, "huber"
     held, moved = (components.estimate(*given, jnp.array(3.0), moves) for moves in (False, True))
     assert held.common[3] > 0.02 and held.common[0] < 0.01
     assert moved.common[3] < 2e-3 and moved.common[0] < 2e-3

@@ -275,6 +275,7 @@ PARTS = {
     "paper air": Rayleigh(9e4, RayleighPhase(0.0), formula="paper"),
     "haze": Aerosol(0.123, 0.9, phase=TwoTermHenyeyGreenstein(0.8, -0.4, 0.85), profile=Levels.elterman_1968()),
     "spheres": TwoModeAerosol(0.2, refractive_index=1.45),
+    "bins of spheres": skyfit.BinnedAerosol(np.full(22, 0.01), absorption_index_exponent=1.0),
     "their phase": Aerosol(0.2, phase=TwoModeAerosol(0.2).phase),
     "fog": Droplets.fog(0.01, 50.0),
     "gas": no2(),

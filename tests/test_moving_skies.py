@@ -365,7 +365,7 @@ def test_equal_suns_of_all_channels_are_one(x64, name):
         "view_zenith": VIEWS[0][None], "view_azimuth": VIEWS[1][None], "wavelength_nm": spectrum[None],
         "irradiance": np.ones((1, spectrum.size)), "measured": nothing, "weight": nothing,
         "response": None if response is None else response.weight[None],
-        "direct": None if response is not None else nothing[:, 0], "field_of_view": 0.05,
+        "beside": None if response is not None else nothing[:, 0], "has_beam": response is None, "field_of_view": 0.05,
     }  # fmt: skip
     common = {k: jax.numpy.asarray(v) if isinstance(v, np.ndarray) else v for k, v in common.items()}
 

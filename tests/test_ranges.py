@@ -10,6 +10,7 @@ import pytest
 import skyfit
 from skyfit import (
     Aerosol,
+    BinnedAerosol,
     CornetteShanks,
     Directions,
     Droplets,
@@ -56,6 +57,14 @@ RANGES = [
             "optical_depth": (0.0, 1e3), "fine_fraction": (0.0, 1.0), "fine_radius": (0.05, 0.5),
             "coarse_radius": (0.8, 6.0), "fine_width": (0.3, 0.9), "coarse_width": (0.3, 0.9),
             "refractive_index": (1.33, 1.6), "absorption_index": (0.0, 0.1),
+        },
+    ),
+    (
+        BinnedAerosol, {"bins": [0.01] * 22},
+        {
+            "bins": (0.0, 1e3), "refractive_index": (1.33, 1.6), "refractive_index_slope": (-0.3, 0.3),
+            "absorption_index": (0.0, 0.1), "absorption_index_exponent": (-6.0, 6.0),
+            "absorption_index_curvature": (-10.0, 10.0),
         },
     ),
     (Rayleigh, {}, {"pressure": (2e3, 1.2e5)}),

@@ -138,13 +138,17 @@ def fine_effective_radius(volume: np.ndarray) -> float:
     return float(np.sum(volume[fine]) / np.sum(volume[fine] / RADII[fine]))
 
 
-def made(number: int) -> tuple[skyfit.Sky, dict]:
-    """A case's sky without the beam, and its truth."""
+def case_of(number: int) -> tuple[dict, np.ndarray, np.random.Generator]:
+    """What a case is made of, dV/dln r at `RADII` in any unit, and the generator of its noise."""
     random = np.random.default_rng([SEED, number])
     case = {name: float(random.uniform(*ends)) for name, ends in RANGES.items()}
     volume = modes(case)
-    if number % 2:
-        volume = binned(volume, random)
+    return case, binned(volume, random) if number % 2 else volume, random
+
+
+def made(number: int, polarised: bool = True) -> tuple[skyfit.Sky, dict]:
+    """A case's sky without the beam, and its truth."""
+    case, volume, random = case_of(number)
     haze = spheres(volume, case["index"] + 1j * -case["absorption"], case["depth"])
     sun = case["sun_zenith_deg"]
     azimuth = np.concatenate([np.array(AZIMUTHS), -np.array(AZIMUTHS[:-1])])
@@ -156,7 +160,7 @@ def made(number: int) -> tuple[skyfit.Sky, dict]:
         only = SimpleNamespace(constituents=(*air.constituents, haze.at(i)), ground=air.ground)
         turned = azimuth + aside / np.sin(np.radians(sun))
         stokes = foreign.sasktran2_stokes(
-            only, sun, zenith + up, turned, NM[i : i + 1], True, "spherical", layers=LAYERS, moments=MOMENTS
+            only, sun, zenith + up, turned, NM[i : i + 1], polarised, "spherical", layers=LAYERS, moments=MOMENTS
         )
         seen.append(stokes[0][:, 0])
     light = np.stack(seen, axis=1)

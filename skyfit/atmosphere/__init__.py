@@ -43,6 +43,7 @@ from .rayleigh import (
     Rayleigh as Rayleigh,
     SEA_LEVEL_PRESSURE as SEA_LEVEL_PRESSURE,
 )
+from .size_bins import BIN_RADII as BIN_RADII, BinnedAerosol as BinnedAerosol, BinnedPhase as BinnedPhase
 from .turbidity import (
     angstrom_coefficient as angstrom_coefficient,
     hosek_turbidity as hosek_turbidity,

@@ -2,7 +2,8 @@
 
     constituents
       NAME            in the order of the atmosphere; what is not listed is not there
-        kind          "Rayleigh", "Aerosol", "TwoModeAerosol", "Droplets", "Gas", "Ozone" or "Prescribed"
+        kind          "Rayleigh", "Aerosol", "TwoModeAerosol", "BinnedAerosol", "Droplets", "Gas", "Ozone" or
+                      "Prescribed"
         ...           the fields of that class by name, in its units; arrays are lists
         phase         kind: "HenyeyGreenstein", ...; then its fields, as above
         profile       kind: "Exponential", "OzoneLayer", "Layered" or "Levels"; then its fields
@@ -37,15 +38,16 @@ from .phase import (
 )
 from .profile import AbstractProfile, Exponential, Layered, Levels, OzoneLayer
 from .rayleigh import Rayleigh
+from .size_bins import BinnedAerosol, BinnedPhase
 
 
 def _by_name(*kinds: type) -> dict[str, type]:
     return {kind.__name__: kind for kind in kinds}
 
 
-CONSTITUENTS = _by_name(Rayleigh, Aerosol, TwoModeAerosol, Droplets, Gas, Ozone, Prescribed)
+CONSTITUENTS = _by_name(Rayleigh, Aerosol, TwoModeAerosol, BinnedAerosol, Droplets, Gas, Ozone, Prescribed)
 PHASES = _by_name(
-    RayleighPhase, HenyeyGreenstein, TwoTermHenyeyGreenstein, CornetteShanks, Tabulated, TwoModePhase
+    RayleighPhase, HenyeyGreenstein, TwoTermHenyeyGreenstein, CornetteShanks, Tabulated, TwoModePhase, BinnedPhase
 )  # fmt: skip
 PROFILES = _by_name(Exponential, OzoneLayer, Layered, Levels)
 _REGISTRIES = {AbstractConstituent: CONSTITUENTS, AbstractPhase: PHASES, AbstractProfile: PROFILES}

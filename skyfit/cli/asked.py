@@ -9,6 +9,7 @@ from ..atmosphere import Atmosphere
 from ..measured import mask_sun as without_sun, read_response, Response, Sky
 from ..measured.readers.header import moment_of
 from ..retrieve import (
+    BINS_FREE,
     check_free,
     LOBES_FREE,
     PARAMETERS,
@@ -23,11 +24,11 @@ from ..retrieve.parameters import POINTING
 from .options import in_range
 
 
-_SETS = {"particles": PARTICLE_FREE, "lobes": LOBES_FREE}
+_SETS = {"particles": PARTICLE_FREE, "bins": BINS_FREE, "lobes": LOBES_FREE}
 
 
 def names_in(text: str) -> tuple[str, ...]:
-    """Names with commas between them; `particles` and `lobes` stand for `PARTICLE_FREE` and `LOBES_FREE`."""
+    """Names with commas between them; `particles`, `bins`, `lobes` are those of `PARTICLE_FREE` and so on."""
     names = [name.strip() for name in text.split(",") if name.strip()]
     return tuple(one for name in names for one in _SETS.get(name, (name,)))
 
@@ -39,7 +40,7 @@ def free_of(text: str | None, sky: Sky, known: Collection[str] = ()) -> tuple[st
     """
     asked = [] if text is None else [name.strip() for name in text.split(",")]
     names = usual_free(sky) if text is None else names_in(text)
-    left = {*known, *(() if sky.view_zenith_by_wavelength is None else POINTING)}
+    left = {*known, *(POINTING if sky.follows_sun else ())}
     return tuple(name for name in names if name in asked or name not in left)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..atmosphere import TwoModeAerosol
+from ..atmosphere import BinnedAerosol, TwoModeAerosol
 from ..measured import time_names
 from ..retrieve import aerosol_optics, Fit, PARAMETERS
 from ..retrieve.components import KINDS
@@ -175,7 +175,7 @@ def _about(fit: Fit):
 def _haze(fit: Fit):
     """What follows of the optics of spheres, that parameters do not say."""
     atmosphere = fit.start.atmosphere
-    if not ("aerosol" in atmosphere and isinstance(atmosphere.aerosol, TwoModeAerosol)):
+    if not ("aerosol" in atmosphere and isinstance(atmosphere.aerosol, TwoModeAerosol | BinnedAerosol)):
         return
     optics = aerosol_optics(fit)
 

@@ -47,8 +47,10 @@ from .options import (
 FreeOption = Annotated[
     str | None,
     typer.Option(
-        help="with commas: particles (sizes and index of spheres; default for spectra), lobes (default else) or of "
-        + ", ".join(PARAMETER_NAMES)
+        help="with commas: particles (sizes and index of spheres; default for spectra), bins (22 of radius for the "
+        "sizes), lobes (default else) or of "
+        + ", ".join(name for name in PARAMETER_NAMES if not name.startswith("size_bin_"))
+        + ", size_bin_1 to size_bin_22"
     ),
 ]
 PriorOption = Annotated[list[str] | None, typer.Option(help="name=value,sigma known before, or name=none")]

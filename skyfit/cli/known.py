@@ -5,8 +5,10 @@ PARAMETER_NAMES = (
     "turbidity", "aerosol_optical_depth", "angstrom_exponent", "angstrom_curvature", "single_scattering_albedo",
     "single_scattering_albedo_slope", "asymmetry", "asymmetry_second", "forward_fraction", "forward_fraction_slope",
     "haze_polarisation", "fine_fraction", "fine_radius", "coarse_radius", "fine_width", "coarse_width",
-    "refractive_index", "absorption_index", "aerosol_scale_height", "ozone", "ground_albedo", "ground_albedo_slope",
-    "ground_red_edge", "pressure", "pointing_zenith", "pointing_azimuth", "sun_zenith_offset",
+    "refractive_index", "absorption_index", "refractive_index_slope", "absorption_index_exponent",
+    "absorption_index_curvature", *(f"size_bin_{number}" for number in range(1, 23)), "aerosol_scale_height", "ozone",
+    "ground_albedo", "ground_albedo_slope", "ground_red_edge", "pressure", "pointing_zenith", "pointing_azimuth",
+    "sun_zenith_offset",
 )  # fmt: skip
 # of `NoiseModel`, in sigma
 THRESHOLD = 3.0

@@ -38,6 +38,8 @@ def check_shapes(sky) -> None:
         "direct_sigma": (times, wavelengths),
         "aerosol_optical_depth": (times, wavelengths),
         "aerosol_optical_depth_sigma": (times, wavelengths),
+        "degree_of_polarisation": sky.radiance.shape,
+        "degree_of_polarisation_sigma": sky.radiance.shape,
         "view_zenith_by_wavelength": sky.radiance.shape,
         "view_azimuth_by_wavelength": sky.radiance.shape,
     }
@@ -79,6 +81,9 @@ def check_values(sky) -> None:
             raise ValueError(f"`{name}` must be {low:g} to {high:g} {unit}, or NaN, got {value:g}")
     if not (np.isnan(sky.calibration_sigma) or 0.0 <= sky.calibration_sigma < 1.0):
         raise ValueError(f"`calibration_sigma` must be in [0, 1), or NaN, got {sky.calibration_sigma:g}")
+    degree = sky.degree_of_polarisation
+    if degree is not None and np.any((degree < 0.0) | (degree > 1.0)):
+        raise ValueError(f"`degree_of_polarisation` must be in [0, 1], or NaN, got {extremes(degree)}")
     if not np.all(np.isfinite(sky.radiance[sky.usable])):
         raise ValueError("`usable` must be False where `radiance` is not finite")
     used = sky.usable.any(axis=2)

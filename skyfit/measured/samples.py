@@ -12,6 +12,8 @@ from .response import LineShape, Response, Seen
 
 # of each time and wavelength, and of each sample besides, where a sky has them
 _BEAM = "direct_irradiance", "direct_sigma", "aerosol_optical_depth", "aerosol_optical_depth_sigma"
+# of each sample besides
+DEGREE = "degree_of_polarisation", "degree_of_polarisation_sigma"
 _MOVING_VIEWS = "view_zenith_by_wavelength", "view_azimuth_by_wavelength"
 
 
@@ -42,7 +44,11 @@ class Sky:
       [time, wavelength], NaN where missing; None where it was not measured
     - `aerosol_optical_depth`, `aerosol_optical_depth_sigma`: of the vertical column at each wavelength, as photometers
       have it of that beam, air and gases taken out, [time, wavelength], NaN where missing; or None
+    - `degree_of_polarisation`, `degree_of_polarisation_sigma`: of the light of each sample, linear, in [0, 1],
+      [time, direction, wavelength], NaN where missing; or None
     - `instrument`: what took the samples, in words; may be empty
+    - `follows_sun`: whether it finds the sun by itself, and so knows where it looks; views that move between the
+      wavelengths say so too
     - `calibration_sigma`: standard deviation of the scale of each wavelength, relative, which all times share; NaN if
       unknown. `sigma` is that of the noise alone then
     - `masked`: reason -> count of samples that are not usable for it; `reason`: of each sample the place of its reason
@@ -96,16 +102,19 @@ class Sky:
     direct_sigma: np.ndarray | None = None
     aerosol_optical_depth: np.ndarray | None = None
     aerosol_optical_depth_sigma: np.ndarray | None = None
+    degree_of_polarisation: np.ndarray | None = None
+    degree_of_polarisation_sigma: np.ndarray | None = None
     view_zenith_by_wavelength: np.ndarray | None = None
     view_azimuth_by_wavelength: np.ndarray | None = None
     masked: dict[str, int] = field(default_factory=dict)
     reason: np.ndarray | None = None
     notes: tuple[str, ...] = ()
     instrument: str = ""
+    follows_sun: bool = False
     source: str = ""
 
     def __post_init__(self):
-        optional = ("sigma", *_BEAM, *_MOVING_VIEWS)
+        optional = ("sigma", *_BEAM, *DEGREE, *_MOVING_VIEWS)
         angles = ("view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth")
         for name in ("radiance", "wavelength_nm", *angles, *optional):
             value = getattr(self, name)
@@ -128,6 +137,7 @@ class Sky:
         for name in (*STATION_RANGES, "calibration_sigma"):
             object.__setattr__(self, name, float(getattr(self, name)))
         object.__setattr__(self, "notes", tuple(self.notes))
+        object.__setattr__(self, "follows_sun", self.follows_sun or self.view_zenith_by_wavelength is not None)
         for name in ("view_zenith", "view_azimuth"):
             value = getattr(self, name)
             if value.ndim == 1 and value.shape == self.radiance.shape[1:2]:
@@ -226,7 +236,7 @@ class Sky:
         """Some of the times, in the order of `indices`; `masked` as `at` says."""
         part = np.asarray(indices, int)
         along = ("radiance", "sigma", "usable", "view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth", "time")
-        along += (*_BEAM, *_MOVING_VIEWS)
+        along += (*_BEAM, *DEGREE, *_MOVING_VIEWS)
         held = {name: getattr(self, name) for name in along}
         parts = {name: None if value is None else value[part] for name, value in held.items()}
         usable = self.usable[part]
@@ -296,7 +306,7 @@ class Sky:
             reason=None,
             **{
                 name: None if values is None else interpolate(values, turns="azimuth" in name)
-                for name in (*_BEAM, *_MOVING_VIEWS)
+                for name in (*_BEAM, *DEGREE, *_MOVING_VIEWS)
                 for values in (getattr(self, name),)
             },
         )
@@ -311,7 +321,7 @@ class Sky:
             )
         parts = {
             name: value if value is None else value[..., places]
-            for name in ("radiance", "sigma", "usable", "wavelength_nm", *_BEAM)
+            for name in ("radiance", "sigma", "usable", "wavelength_nm", *_BEAM, *DEGREE)
             for value in (getattr(self, name),)
         }
         if self.sun_zenith.ndim > 1:

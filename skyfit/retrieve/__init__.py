@@ -15,6 +15,7 @@ from .forward import simulate as simulate
 from .invert import invert as invert
 from .model import SkyModel as SkyModel
 from .parameters import (
+    BINS_FREE as BINS_FREE,
     check_free as check_free,
     LOBES_FREE as LOBES_FREE,
     PARAMETERS as PARAMETERS,

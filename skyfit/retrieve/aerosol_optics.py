@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ..atmosphere import TwoModeAerosol
+from ..atmosphere import BIN_RADII, BinnedAerosol, TwoModeAerosol
 from ..numerics import as_float, check_range
 from .model import SkyModel
 from .parameters import with_values
@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 
 # nm, where sun photometers state them (AERONET's almucantars)
 _WAVELENGTHS = (440.0, 675.0, 870.0)
-# um, where AERONET states size distributions (Dubovik & King 2000, J. Geophys. Res. 105, 20673)
-AERONET_RADII = np.geomspace(0.05, 15.0, 22)
-_INDEX = "refractive_index", "absorption_index"
+_SPHERES = TwoModeAerosol | BinnedAerosol
 
 
 class Derived(NamedTuple):
@@ -37,7 +35,7 @@ def aerosol_optics(fit: Fit) -> dict[str, Derived]:
     r"""The optics of a fitted haze by name, as sun photometers state them.
 
     At 440, 675 and 870 nm `aerosol_optical_depth_*`, `single_scattering_albedo_*` and `asymmetry_*`, the mean cosine of
-    the phase function; `angstrom_exponent_440_870`; of spheres in two modes of size also `fine_effective_radius`,
+    the phase function; `angstrom_exponent_440_870`; of spheres also `fine_effective_radius`,
     `coarse_effective_radius` and `effective_radius` of both.
 
     **Arguments:** `fit` of any haze but one given per wavelength. **Returns:** empty without such a haze. Sigma is
@@ -74,7 +72,7 @@ def aerosol_products(
         raise ValueError("`fit` must be of a haze whose optics follow from parameters, got one given per wavelength")
     usual = fit.fitted_nm if fit.response is None else _WAVELENGTHS
     wavelength = as_float(usual if wavelength_nm is None else wavelength_nm)
-    radius = as_float(AERONET_RADII if radius_um is None else radius_um)
+    radius = as_float(BIN_RADII if radius_um is None else radius_um)
     fit.start.atmosphere.check_wavelengths(wavelength)
     check_range("radius_um", radius, 1e-3, 1e3, "um")
     found = _with_sigma(fit, lambda model: _products(model, wavelength, radius))
@@ -132,7 +130,7 @@ def _spectra(aerosol, wavelength: Float[Array, " wavelength"]):
     return depth, albedo, jnp.broadcast_to(aerosol.phase.moments(2, wavelength)[1], wavelength.shape)
 
 
-def _radii(aerosol: TwoModeAerosol) -> dict:
+def _radii(aerosol: _SPHERES) -> dict:
     names = "fine_effective_radius", "coarse_effective_radius", "effective_radius"
     return {name: getattr(aerosol, name) for name in names}
 
@@ -144,13 +142,11 @@ def _products(model: SkyModel, wavelength, radius) -> dict:
         "aerosol_optical_depth": depth, "absorption_optical_depth": depth * (1.0 - albedo),
         "single_scattering_albedo": albedo, "asymmetry": asymmetry,
     }  # fmt: skip
-    if not isinstance(aerosol, TwoModeAerosol):
+    if not isinstance(aerosol, _SPHERES):
         return found
     volumes = aerosol.volumes
-    modes = zip((aerosol.fine_radius, aerosol.coarse_radius), (aerosol.fine_width, aerosol.coarse_width), strict=True)
-    shapes = [jnp.exp(-0.5 * (jnp.log(radius / r) / w) ** 2) / (w * np.sqrt(2.0 * np.pi)) for r, w in modes]
-    found |= {name: jnp.broadcast_to(getattr(aerosol, name), depth.shape) for name in _INDEX}
-    found["volume_size_distribution"] = volumes[0] * shapes[0] + volumes[1] * shapes[1]
+    found["refractive_index"], found["absorption_index"] = aerosol.index_at(wavelength)
+    found["volume_size_distribution"] = aerosol.volume_size_distribution(radius)
     return found | {"fine_volume": volumes[0], "coarse_volume": volumes[1]} | _radii(aerosol)
 
 
@@ -168,4 +164,4 @@ def _numbers(model: SkyModel) -> dict:
     safe = jnp.where(depth > 0.0, depth, 1.0)
     slope = jnp.log(safe[0] / safe[-1]) / np.log(_WAVELENGTHS[-1] / _WAVELENGTHS[0])
     numbers["angstrom_exponent_440_870"] = slope
-    return numbers | _radii(aerosol) if isinstance(aerosol, TwoModeAerosol) else numbers
+    return numbers | _radii(aerosol) if isinstance(aerosol, _SPHERES) else numbers

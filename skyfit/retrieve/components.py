@@ -221,7 +221,7 @@ def estimate(
     errors: Errors,
     residual: Float[Array, "direction channel"],
     columns: Float[Array, "direction channel column"],
-    prior: Float[Array, " column"],
+    prior: Float[Array, "row column"],
     expected: Expected,
     loss: Loss,
     threshold: Float[Array, ""],
@@ -234,8 +234,9 @@ def estimate(
     threshold of the loss, or three standard deviations, do not count, but most always do: bounded alone, as in Huber's
     loss, those of one in threshold^2 directions would grow with what they make of the sizes.
 
-    **Arguments:** `residual`, model minus measurement; `columns`, its slopes by all that is fitted, `prior`, one over
-    the sigma of each column's unknown; `moves`: whether these go where the residuals draw them, or others hold them.
+    **Arguments:** `residual`, model minus measurement; `columns`, its slopes by all that is fitted, `prior`, rows
+    of what is known of the unknowns before; `moves`: whether these go where the residuals draw them, or others hold
+    them.
     **Source:** Patterson & Thompson 1971, Biometrika 58, 545; Dempster, Laird & Rubin 1977, J. R. Stat. Soc. B 39, 1;
     MacKay 1992, Neural Comput. 4, 415 (evidence).
     """
@@ -259,14 +260,14 @@ def estimate(
         rows = whiten(whitening(errors, found), samples)
         near = _near(rows[..., -1], furthest)
         tight = 1.0 / jnp.maximum(found.common[_ALONE:], _LEAST_BROAD)
-        tied = jnp.concatenate([prior, jnp.repeat(tight, _BUMPS)])
+        tied = jax.scipy.linalg.block_diag(prior, jnp.diag(jnp.repeat(tight, _BUMPS)))
         rows = (near[..., None] * rows).reshape(-1, rows.shape[-1])
         spread, step = _profiled(rows, tied)
         if moves:
             found = _with_broad(found, spread[fitted:], step[fitted:], expected)
         else:
             # as far as the parameters stay where they are
-            least, own = _profiled(rows[:, fitted:], tied[fitted:])
+            least, own = _profiled(rows[:, fitted:], tied[prior.shape[0] :, fitted:])
             found = _with_broad(found, least, own, expected)
             step = jnp.concatenate([jnp.zeros(fitted, step.dtype), own])
         moved = residual + columns @ step
@@ -312,8 +313,9 @@ def _profiled(rows, prior):
     """A root of the covariance of what is fitted, and the step to its best values, from whitened rows with residual."""
     count = rows.shape[1] - 1
     guard = _GUARD * jnp.sqrt(jnp.sum(rows[:, :count] ** 2, axis=0))
-    tied = jnp.diag(jnp.where(guard > 0.0, jnp.hypot(guard, prior), 1.0))
-    tied = jnp.concatenate([tied, jnp.zeros((count, 1), rows.dtype)], axis=1)
+    # what has no influence stays
+    tied = jnp.concatenate([jnp.diag(jnp.where(guard > 0.0, guard, 1.0)), prior])
+    tied = jnp.pad(tied, ((0, 0), (0, 1)))
     whole = triangle(jnp.concatenate([rows, tied]))[:count]
     right = jnp.concatenate([jnp.eye(count, dtype=rows.dtype), whole[:, count:]], axis=1)
     solved = solve_upper(whole[:, :count], right)

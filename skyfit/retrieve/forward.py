@@ -1,5 +1,7 @@
 """The arrays that a fit takes, and what an instrument would read of a model."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,7 +11,7 @@ from jaxtyping import Array, Float
 from ..atmosphere import AbstractConstituent, Rayleigh
 from ..numerics import as_float
 from ..scene import Directions, Scene
-from ..transport import AbstractSolver
+from ..transport import AbstractSolver, Stokes
 from ..transport.optics import optics, transmitted_sun
 from .model import SkyModel
 
@@ -20,7 +22,9 @@ class Problem(eqx.Module):
     Angles in radians; the sun's of each time, or of each of its channels too, between which it moved. `irradiance` at
     the top of the air in W m^-2 nm^-1, `weight` one over sigma. `response` None: samples are the radiance at the
     wavelengths themselves. Views of each channel, where the instrument moves between them, go with a sun of each.
-    `direct` irradiance on a plane normal to the sun, or the haze's optical depth if `direct_is_depth`; or None.
+    `beside`, what is measured besides the radiance, in one row, and one over its sigma; or None: the beam of each
+    channel if `has_beam`, as irradiance on a plane normal to the sun, or the haze's optical depth if `direct_is_depth`;
+    then the degree of polarisation of each direction and channel if `has_degree`.
     """
 
     sun_zenith: Float[Array, " time"] | Float[Array, "time channel"]
@@ -32,9 +36,11 @@ class Problem(eqx.Module):
     measured: Float[Array, "time direction channel"]
     weight: Float[Array, "time direction channel"]
     response: Float[Array, "time channel wavelength"] | None = None
-    direct: Float[Array, "time channel"] | None = None
-    direct_weight: Float[Array, "time channel"] | None = None
+    beside: Float[Array, "time other"] | None = None
+    beside_weight: Float[Array, "time other"] | None = None
     field_of_view: float = eqx.field(static=True, default=0.0)
+    has_beam: bool = eqx.field(static=True, default=False)
+    has_degree: bool = eqx.field(static=True, default=False)
     direct_is_depth: bool = eqx.field(static=True, default=False)
 
     def at(self, times) -> "Problem":
@@ -67,10 +73,22 @@ class Problem(eqx.Module):
         )
 
 
-def observe(
-    solver: AbstractSolver, model: SkyModel, one: Problem
-) -> tuple[Float[Array, "direction channel"], Float[Array, " channel"] | None]:
-    """What the instrument would read of a model at one time: the sky, and the direct beam where it is measured.
+class Reading(NamedTuple):
+    """What an instrument reads: radiance, the beam of each channel and the degree of polarisation, where measured."""
+
+    radiance: Float[Array, "direction channel"]
+    beam: Float[Array, " channel"] | None
+    degree: Float[Array, "direction channel"] | None
+
+    @property
+    def beside(self) -> Float[Array, " other"] | None:
+        """All but the radiance in the order of `Problem.beside`, or None."""
+        parts = [part.reshape(-1) for part in (self.beam, self.degree) if part is not None]
+        return jnp.concatenate(parts) if parts else None
+
+
+def observe(solver: AbstractSolver, model: SkyModel, one: Problem) -> Reading:
+    """What the instrument would read of a model at one time.
 
     Under a sun for each channel each is a scene of its own, of one wavelength, or of the whole spectrum with a
     `response`: channels times as many angles from the sun, and with a response as many wavelengths, as under one sun.
@@ -78,19 +96,25 @@ def observe(
     if one.sun_zenith.ndim:
         return _observe_each(solver, model, one)
     scene = one.scene(model)
-    radiance = solver.radiance(model.atmosphere, scene)
+    if one.has_degree:
+        # a solver that has none was refused (`prepared`)
+        light = tuple(solver.stokes(model.atmosphere, scene))  # pyright: ignore[reportAttributeAccessIssue]
+    else:
+        light = (solver.radiance(model.atmosphere, scene),)
     if one.field_of_view > 0.0:
-        rays = radiance.reshape(len(_CONE), -1, radiance.shape[1])
-        radiance = jnp.einsum("r,rdw->dw", as_float([weight for *_, weight in _CONE]), rays)
+        weight = as_float([weight for *_, weight in _CONE])
+        light = tuple(jnp.einsum("r,rdw->dw", weight, v.reshape(len(_CONE), -1, v.shape[1])) for v in light)
     if one.response is not None:
-        radiance = radiance @ one.response.T
-    if one.direct is None:
-        return radiance, None
+        light = tuple(part @ one.response.T for part in light)
+    degree = Stokes(*light).degree if one.has_degree else None
+    if not one.has_beam:
+        return Reading(light[0], None, degree)
     constituents = model.atmosphere.constituents
     if one.direct_is_depth:
-        return radiance, haze_depth(constituents, scene.wavelength_nm)
+        return Reading(light[0], haze_depth(constituents, scene.wavelength_nm), degree)
     extinction = optics(constituents, scene.wavelength_nm).extinction
-    return radiance, scene.solar_irradiance * transmitted_sun(constituents, scene, extinction, solver.geometry)
+    beam = scene.solar_irradiance * transmitted_sun(constituents, scene, extinction, solver.geometry)
+    return Reading(light[0], beam, degree)
 
 
 def haze_depth(constituents: tuple[AbstractConstituent, ...], wavelength_nm) -> Float[Array, " channel"]:
@@ -105,25 +129,23 @@ def _observe_each(solver, model, one: Problem):
         raise ValueError("a sun for each wavelength needs an atmosphere that has no values for each wavelength")
 
     def parts(problem):
-        light = problem.irradiance, problem.wavelength_nm, problem.response, problem.direct
+        light = problem.irradiance, problem.wavelength_nm, problem.response
         return problem.sun_zenith, problem.sun_azimuth, problem.view_zenith, problem.view_azimuth, *light
 
     def read(own):
-        radiance, direct = observe(solver, model, eqx.tree_at(parts, one, own, is_leaf=lambda part: part is None))
-        return radiance[:, 0], None if direct is None else direct[0]
+        found = observe(solver, model, eqx.tree_at(parts, one, own, is_leaf=lambda part: part is None))
+        return jax.tree.map(lambda part: part[..., 0], found)
 
-    zenith, azimuth, *views, irradiance, wavelength, response, direct = parts(one)
+    zenith, azimuth, *views, irradiance, wavelength, response = parts(one)
     view_axis = 1 if one.view_zenith.ndim == 2 else None
     if response is None:
         irradiance, wavelength = irradiance[:, None], wavelength[:, None]
         spectrum = 0
     else:
         response, spectrum = response[:, None], None
-    direct = None if direct is None else direct[:, None]
     axes = (0, 0, view_axis, view_axis, spectrum, spectrum, None if response is None else 0)
-    given = (zenith, azimuth, *views, irradiance, wavelength, response, direct)
-    radiance, direct = jax.vmap(read, in_axes=((*axes, None if direct is None else 0),))(given)
-    return radiance.T, direct
+    found = jax.vmap(read, in_axes=(axes,))((zenith, azimuth, *views, irradiance, wavelength, response))
+    return jax.tree.map(lambda part: part.T, found)
 
 
 # rays of a cone: distance from its axis over its half angle, turn about it, weight. Exact for polynomials of degree

@@ -1,17 +1,20 @@
 """Where a fit starts: the haze that explains the sky best by single scattering."""
 
 import itertools
+from collections.abc import Iterator
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..atmosphere import BinnedAerosol, TwoModeAerosol
 from ..numerics import as_float
 from ..programs import kept
 from ..transport import Geometry, SingleScattering
 from .forward import observe, Problem
 from .model import SkyModel
-from .parameters import PARAMETERS, values_of, with_values
+from .parameters import PARAMETERS, SIZE_BINS, values_of, with_values
 
 
 # hazes that are tried: optical depths from clean to thick, coarse and fine particles, phase functions by
@@ -33,23 +36,40 @@ def first_guess(geometry: Geometry, model: SkyModel, free: tuple[str, ...], prob
     first = values_of(model, free)
     values = np.tile(list(first.values()), (problem.sun_zenith.shape[0], 1))
     depth = next((n for n in ("aerosol_optical_depth", "turbidity") if n in free), None)
-    if depth is None:
+    if set(SIZE_BINS) <= set(free):
+        rows = np.array([list((first | bins).values()) for bins in _in_bins(model)])
+    elif depth is None:
         return values
-    kinds = [{n: v} for n, values in _KINDS.items() if n in free for v in values] or [{}]
-    lobes = _LOBES if set(_LOBES[-1]) <= set(free) else ({},)
-    depths = [{depth: float(PARAMETERS[depth].from_leaf(v))} for v in _DEPTHS]
-    rows = np.array([list((first | a | b | c).values()) for a, b, c in itertools.product(depths, kinds, lobes)])
+    else:
+        rows = _rows(first, depth, free)
+    # the level of each channel is free, and nothing else tells of hazes
+    problem = replace(problem, beside=None, beside_weight=None, has_beam=False, has_degree=False)
     costs = np.asarray(_costs(SingleScattering.draft(geometry), model, free, as_float(rows), problem), float)
     best = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
     some = np.asarray(np.any(np.isfinite(costs), axis=0))
     return np.where(some[:, None], rows[best], values)
 
 
+def _rows(first: dict[str, float], depth: str, free: tuple[str, ...]) -> np.ndarray:
+    """What is tried, `[haze, parameter]`, of hazes whose optical depth is a parameter."""
+    kinds = [{n: v} for n, values in _KINDS.items() if n in free for v in values] or [{}]
+    lobes = _LOBES if set(_LOBES[-1]) <= set(free) else ({},)
+    depths = [{depth: float(PARAMETERS[depth].from_leaf(v))} for v in _DEPTHS]
+    return np.array([list((first | a | b | c).values()) for a, b, c in itertools.product(depths, kinds, lobes)])
+
+
+def _in_bins(model: SkyModel) -> Iterator[dict[str, float]]:
+    """The size bins of the hazes that are tried."""
+    for depth, share in itertools.product(_DEPTHS, _KINDS["fine_fraction"]):
+        haze = BinnedAerosol.like(TwoModeAerosol(depth, share))  # pyright: ignore[reportCallIssue]
+        yield values_of(SkyModel(model.atmosphere.replace(aerosol=haze)), SIZE_BINS)
+
+
 def _left_over(solver, model, free, rows, problem: Problem):
     """What each row of values leaves over at each time, the level of each channel being free within bounds."""
 
     def cost(row, one):
-        light, _ = observe(solver, with_values(model, free, row), one)
+        light = observe(solver, with_values(model, free, row), one).radiance
         weighted = one.weight**2 * light
         norm = jnp.sum(weighted * light, axis=0)
         level = jnp.sum(weighted * one.measured, axis=0) / jnp.where(norm > 0.0, norm, 1.0)

@@ -28,7 +28,7 @@ def error_shapes(airmass: Array, cosine: Array, wavelength_nm: Array) -> Float[A
 def model_errors(
     problem: Problem, radiance: Float[Array, "time direction channel"]
 ) -> Float[Array, "time sample shape"]:
-    """Smooth errors of the model's radiance, in its unit; the direct beam has none."""
+    """Smooth errors of the model's radiance, in its unit; what is measured besides has none."""
 
     def at(item):
         one, radiance = item
@@ -42,8 +42,8 @@ def model_errors(
             place = size @ place / jnp.sum(size, axis=1)
         shapes = error_shapes(airmass, 1.0 - 2.0 * half, place)
         errors = (shapes * radiance[None]).reshape(shapes.shape[0], -1).T
-        if one.direct is None:
+        if one.beside is None:
             return errors
-        return jnp.concatenate([errors, jnp.zeros((one.direct.shape[0], errors.shape[1]), errors.dtype)])
+        return jnp.concatenate([errors, jnp.zeros((one.beside.shape[0], errors.shape[1]), errors.dtype)])
 
     return jax.vmap(at)((problem, radiance))

@@ -14,6 +14,8 @@ from jaxtyping import Array, Float
 from ..atmosphere import (
     Aerosol,
     Atmosphere,
+    BIN_RADII,
+    BinnedAerosol,
     HenyeyGreenstein,
     optical_depth_to_turbidity,
     Ozone,
@@ -46,10 +48,11 @@ class Parameter(NamedTuple):
     - `to_leaf`, `from_leaf`: from the stated unit to the leaf's and back
     - `slow`: the same over a day, as the kind of particle and the air are; the amount of haze, the pointing and, under
       a moving sun, what the ground reflects are not
-    - `group`: "two lobes" or "particles" of what only a haze of that kind has
-    - `usual`: which sets of parameters that a sky scan determines have it, "lobes" (`LOBES_FREE`) or "particles"
-      (`PARTICLE_FREE`)
+    - `group`: "two lobes", "particles" or "size bins" of what only a haze of that kind has
+    - `usual`: which sets of parameters that a sky scan determines have it, "lobes" (`LOBES_FREE`), "particles"
+      (`PARTICLE_FREE`) or "bins" (`BINS_FREE`)
     - `climatology`: value and sigma of a prior where the user gives none, for what a scan alone leaves nearly open
+    - `index`: the number's place where the leaf is an array of them
     """
 
     name: str
@@ -64,6 +67,7 @@ class Parameter(NamedTuple):
     group: str | None = None
     usual: tuple[str, ...] = ()
     climatology: tuple[float, float] | None = None
+    index: int | None = None
 
     @property
     def of_instrument(self) -> bool:
@@ -72,7 +76,8 @@ class Parameter(NamedTuple):
 
     def leaf(self, model: SkyModel) -> Any:
         """The parameter's leaf in a model or in a half of `partition`; `AttributeError` where there is none."""
-        return functools.reduce(getattr, self.place.split("."), model)
+        leaf: Any = functools.reduce(getattr, self.place.split("."), model)
+        return leaf if self.index is None or leaf is None else leaf[..., self.index]
 
     def bound(self, free):
         """The value at an unconstrained `free` number: a logistic curve between the bounds."""
@@ -123,13 +128,16 @@ class Parameter(NamedTuple):
 
 
 _HAZE, _GROUND = "atmosphere.aerosol", "atmosphere.ground"
-_LOBES, _PARTICLES, _BOTH = ("lobes",), ("particles",), ("lobes", "particles")
+_LOBES, _PARTICLES, _BINS = ("lobes",), ("particles",), ("bins",)
+_SPHERES, _ALL = _PARTICLES + _BINS, _LOBES + _PARTICLES + _BINS
 _LIST = (
     Parameter(
         "turbidity", "1", 1.001, 50.0, f"{_HAZE}.optical_depth", log=True, to_leaf=turbidity_to_optical_depth,
         from_leaf=optical_depth_to_turbidity,
     ),
-    Parameter("aerosol_optical_depth", "1", 1e-4, 5.0, f"{_HAZE}.optical_depth", log=True, usual=_BOTH),
+    Parameter("aerosol_optical_depth", "1", 1e-4, 5.0, f"{_HAZE}.optical_depth", log=True,
+        usual=_LOBES + _PARTICLES,
+    ),
     Parameter("angstrom_exponent", "1", -0.5, 3.5, f"{_HAZE}.angstrom_exponent", usual=_LOBES),
     Parameter("angstrom_curvature", "1", -1.0, 1.0, f"{_HAZE}.angstrom_curvature", slow=True),
     Parameter(
@@ -174,27 +182,48 @@ _LIST = (
     ),
     Parameter(
         "refractive_index", "1", 1.33, 1.6, f"{_HAZE}.refractive_index", slow=True, group="particles",
-        usual=_PARTICLES, climatology=(1.45, 0.06),
+        usual=_SPHERES, climatology=(1.45, 0.06),
     ),
     Parameter(
         "absorption_index", "1", 1e-4, 0.1, f"{_HAZE}.absorption_index", log=True, slow=True, group="particles",
-        usual=_PARTICLES, climatology=(0.006, 0.008),
+        usual=_SPHERES, climatology=(0.006, 0.008),
+    ),
+    # n changes by 0.01 from 440 to 1020 nm, k by its exponent from 0 of soot to 2 of dust (ibid.)
+    Parameter(
+        "refractive_index_slope", "1", -0.15, 0.15, f"{_HAZE}.refractive_index_slope", slow=True, group="size bins",
+        usual=_BINS, climatology=(0.0, 0.02),
+    ),
+    Parameter(
+        "absorption_index_exponent", "1", -4.0, 4.0, f"{_HAZE}.absorption_index_exponent", slow=True,
+        group="size bins", usual=_BINS, climatology=(0.0, 1.0),
+    ),
+    Parameter(
+        "absorption_index_curvature", "1", -6.0, 6.0, f"{_HAZE}.absorption_index_curvature", slow=True,
+        group="size bins", usual=_BINS, climatology=(0.0, 1.0),
+    ),
+    # hardly any at either end (Dubovik & King 2000, J. Geophys. Res. 105, 20673, sec. 3.2)
+    *(
+        Parameter(
+            f"size_bin_{i + 1}", "um3/um2", 1e-6, 10.0, f"{_HAZE}.bins", log=True, slow=True, group="size bins",
+            usual=_BINS, index=i, climatology=(1e-3, 2e-3) if i in (0, BIN_RADII.size - 1) else None,
+        )
+        for i in range(BIN_RADII.size)
     ),
     Parameter(
         "aerosol_scale_height", "m", 200.0, 8000.0, f"{_HAZE}.profile.scale_height", log=True, slow=True,
     ),
     Parameter("ozone", "DU", 50.0, 700.0, "atmosphere.ozone.column", slow=True),
-    Parameter("ground_albedo", "1", 0.0, 1.0, f"{_GROUND}.albedo", usual=_BOTH),
+    Parameter("ground_albedo", "1", 0.0, 1.0, f"{_GROUND}.albedo", usual=_ALL),
     Parameter("ground_albedo_slope", "1", -1.0, 1.0, f"{_GROUND}.albedo_slope", slow=True),
-    Parameter("ground_red_edge", "1", 0.0, 1.0, f"{_GROUND}.red_edge", usual=_PARTICLES),
+    Parameter("ground_red_edge", "1", 0.0, 1.0, f"{_GROUND}.red_edge", usual=_SPHERES),
     Parameter("pressure", "Pa", 3e4, 1.1e5, "atmosphere.rayleigh.pressure", slow=True),
     Parameter(
         "pointing_zenith", "degree", -6.0, 6.0, "instrument.pointing_zenith", to_leaf=_radians, from_leaf=_degrees,
-        usual=_BOTH,
+        usual=_ALL,
     ),
     Parameter(
         "pointing_azimuth", "degree", -20.0, 20.0, "instrument.pointing_azimuth", to_leaf=_radians,
-        from_leaf=_degrees, usual=_BOTH,
+        from_leaf=_degrees, usual=_ALL,
     ),
     Parameter(
         "sun_zenith_offset", "degree", -12.0, 12.0, "instrument.sun_zenith", to_leaf=_radians, from_leaf=_degrees,
@@ -202,9 +231,11 @@ _LIST = (
 )  # fmt: skip
 PARAMETERS: dict[str, Parameter] = {p.name: p for p in _LIST}
 """All that can be fitted, by name: unit, bounds (`lower`, `upper`), and the place of each in the model."""
-# what a sky scan determines, and the pointing that it needs: with haze of two lobes, and of spheres in two modes
+# what a sky scan determines, and the pointing that it needs: with haze of two lobes, of spheres in two modes, in bins
 LOBES_FREE = tuple(p.name for p in _LIST if "lobes" in p.usual)
 PARTICLE_FREE = tuple(p.name for p in _LIST if "particles" in p.usual)
+BINS_FREE = tuple(p.name for p in _LIST if "bins" in p.usual)
+SIZE_BINS = tuple(p.name for p in _LIST if p.index is not None)
 SLOW = tuple(p.name for p in _LIST if p.slow)
 # what the pattern of a picture tells whose level, white and ground are unknown, and where its sun is but guessed
 PICTURE_FREE, SUN_FREE = ("turbidity", "asymmetry"), ("sun_zenith_offset", "pointing_azimuth")
@@ -219,15 +250,16 @@ _DEPTH = 0.15
 def start_model(free: tuple[str, ...], pressure: float, ozone: float = 300.0) -> SkyModel:
     """The model a fit starts from: the defaults of `Atmosphere.from_optical_depth`, optical depth 0.15.
 
-    The phase function has two lobes if a second one is to be fitted; the haze is one of spheres in two modes of size,
-    whose optics follow, if anything of these is.
+    The phase function has two lobes if a second one is to be fitted; the haze is one of spheres in bins or in two modes
+    of size, whose optics follow, if anything of these is.
 
     **Arguments:** names that are free; `pressure` of the station, Pa; `ozone` over it, DU. **Returns:** a `SkyModel`.
     """
     groups = {PARAMETERS[name].group for name in free if name in PARAMETERS}
-    if "particles" in groups:
+    if groups & {"particles", "size bins"}:
         # pyright takes the inherited, abstract `phase` for an argument
         haze = TwoModeAerosol(_DEPTH, fine_fraction=0.7)  # pyright: ignore[reportCallIssue]
+        haze = BinnedAerosol.like(haze) if "size bins" in groups else haze
     else:
         two_lobes = TwoTermHenyeyGreenstein(0.75, 0.1, 0.8)
         lobes = two_lobes if "two lobes" in groups else HenyeyGreenstein(0.7)
@@ -276,9 +308,10 @@ def fixed_values(model: SkyModel, free: tuple[str, ...]) -> dict[str, float]:
 
 
 def partition(model: SkyModel, names: tuple[str, ...]):
-    """The model's free leaves and the rest, as `eqx.partition` gives them."""
+    """The model's free leaves and the rest, as `eqx.partition` gives them; arrays of several stay in the rest."""
     nothing = jax.tree_util.tree_map(lambda _: False, model)
-    chosen = eqx.tree_at(lambda m: [PARAMETERS[n].leaf(m) for n in names], nothing, [True] * len(names))
+    alone = [n for n in names if PARAMETERS[n].index is None]
+    chosen = eqx.tree_at(lambda m: [PARAMETERS[n].leaf(m) for n in alone], nothing, [True] * len(alone))
     return eqx.partition(model, chosen)
 
 
@@ -287,5 +320,15 @@ def with_values(fixed: SkyModel, names: tuple[str, ...], values) -> SkyModel:
 
     **Arguments:** `fixed`, a whole model or the fixed half of `partition`; `values`, scalars or one array.
     """
-    leaves = [as_float(PARAMETERS[n].to_leaf(values[i])) for i, n in enumerate(names)]
-    return eqx.tree_at(lambda m: [PARAMETERS[n].leaf(m) for n in names], fixed, leaves, is_leaf=lambda x: x is None)
+    placed: dict[str, Any] = {}
+    for i, n in enumerate(names):
+        parameter, leaf = PARAMETERS[n], as_float(PARAMETERS[n].to_leaf(values[i]))
+        if parameter.index is not None:
+            whole = placed.get(parameter.place, parameter._replace(index=None).leaf(fixed))
+            leaf = whole.at[..., parameter.index].set(leaf)
+        placed[parameter.place] = leaf
+
+    def leaves(model):
+        return [functools.reduce(getattr, place.split("."), model) for place in placed]
+
+    return eqx.tree_at(leaves, fixed, list(placed.values()), is_leaf=lambda x: x is None)

@@ -12,7 +12,7 @@ from ..measured import NoiseModel, Response, Sky, station_pressure, STATION_RANG
 from ..measured.quality.oddities import examine
 from ..numerics import as_float
 from ..numerics.chain import Point
-from ..transport import AbstractSolver, low_sun, OrdersOfScattering
+from ..transport import AbstractSolver, low_sun, OrdersOfScattering, SingleScattering
 from .components import Expected
 from .forward import Problem
 from .guess import first_guess
@@ -24,6 +24,7 @@ from .parameters import (
     PARAMETERS,
     PARTICLE_FREE,
     POINTING,
+    SIZE_BINS,
     start_model,
     values_of,
 )
@@ -36,6 +37,9 @@ _START_SPREAD = 1.5
 # of the stated noise, or more, is the samples' own: with less, what is left on a real sky, which is smooth, passes for
 # pointing errors of degrees, and for broad errors twice as large as halves of directions show them
 _LEAST = 1.0
+# of the second difference of the logarithm of neighbouring size bins. Of a lognormal mode it is the square of their
+# distance, 0.27, over that of the width: -0.6 for the narrowest that networks state, 0.35; between two modes up to 1
+_BEND = 1.0
 # wavelengths that tell the sizes of particles: so many, and the longest by the shortest
 _MANY_WAVELENGTHS, _WIDE = 3, 1.5
 
@@ -107,7 +111,7 @@ def usual_free(sky: Sky) -> tuple[str, ...]:
     if many and "atmosphere" in sky.made_by:
         many = "fine_fraction" in values_of(_maker(sky), PARTICLE_FREE)
     names = PARTICLE_FREE if many else LOBES_FREE
-    return names if sky.view_zenith_by_wavelength is None else tuple(n for n in names if n not in POINTING)
+    return tuple(n for n in names if n not in POINTING) if sky.follows_sun else names
 
 
 def _maker(sky: Sky) -> SkyModel:
@@ -151,9 +155,11 @@ def prepared(
     sampling.notes += [distance] if distance else []
     if said and set(free) & set(PARTICLE_FREE) - set(LOBES_FREE):
         sampling.notes.append("haze of spheres in two modes of size, as a measured spectrum tells: `free` names others")
-    if said and sky.view_zenith_by_wavelength is not None:
+    if said and sky.follows_sun:
         sampling.notes.append("pointing held: the instrument follows the sun; `free` names it where it does not")
     sampling.notes += [*_assumed(sky, start, free), *_unlike_its_maker(sky, start, free)]
+    if sky.degree_of_polarisation is not None:
+        _check_polarised((solver, solver if draft is None else draft), measurement)
     chosen = sampling.chosen()
     if chosen.size == 0:
         raise ValueError(f"`sky` has no usable sample at {SPECTRUM_NM[0]:g}-{SPECTRUM_NM[1]:g} nm")
@@ -167,6 +173,19 @@ def prepared(
         sky, free, own, common, solver, draft, start, measurement, known, ties,
         max_steps, sampling, chosen, problem, places, rows, linked,
     )  # fmt: skip
+
+
+def _check_polarised(solvers: tuple[AbstractSolver, ...], measurement: NoiseModel) -> None:
+    known = (isinstance(s, SingleScattering) or isinstance(s, OrdersOfScattering) and s.polarised for s in solvers)
+    if not all(known):
+        raise ValueError(
+            "`solver` must be polarised for degrees of polarisation: OrdersOfScattering.normal(polarised=True)"
+        )
+    if measurement.field_of_view > 0.0:
+        raise ValueError(
+            f"`field_of_view` must be 0 with degrees of polarisation, got {measurement.field_of_view:g}: "
+            "of a cone's rays each has a frame of its own"
+        )
 
 
 def start_at(sky: Sky, free: Sequence[str]) -> SkyModel:
@@ -285,7 +304,17 @@ def _prior_rows(sky: Sky, own, shared, priors: dict, smooth: dict, calibration: 
         for name, sigma in smooth.items():
             steps[:, own.index(name)] = 1.0 / (sigma * np.sqrt(hours))
     scale = as_float(1.0 / calibration) if calibration > 0.0 else None
-    return Priors(as_float(centre), as_float(inverse_sigma), scale, as_float(steps))
+    return Priors(as_float(centre), as_float(inverse_sigma), scale, as_float(steps), _bends(own, shared))
+
+
+def _bends(own: tuple[str, ...], shared: tuple[str, ...]):
+    """Second differences of the logarithms of neighbouring size bins over their sigma, `[row, parameter]`."""
+    names, rows = own + shared, []
+    for three in zip(SIZE_BINS, SIZE_BINS[1:], SIZE_BINS[2:], strict=False):
+        if set(three) <= set(own) or set(three) <= set(shared):
+            rows.append(np.zeros(len(names)))
+            rows[-1][[names.index(name) for name in three]] = np.array([1.0, -2.0, 1.0]) / _BEND
+    return as_float(np.reshape(rows, (-1, len(names))))
 
 
 def _checked_priors(given: Mapping, free: tuple[str, ...]) -> dict[str, tuple[float, float]]:

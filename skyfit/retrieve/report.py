@@ -40,7 +40,8 @@ def fit_of(
     beyond = [f"{at_time(sky, t)}{said}" for t, said in enumerate(words.pop("doubt")) if said]
     notes = (
         *asked.sampling.notes, *_days_together(asked), *_left_out(sky, out),
-        *_of_the_beam(asked, stack["beam_residual"]), *doubts(*judged, stack.pop("kept_chi_square")), *beyond,
+        *_of_the_beam(asked, stack["beam_residual"]), *_of_the_degree(asked, stack.pop("degree_rms")),
+        *doubts(*judged, stack.pop("kept_chi_square")), *beyond,
     )  # fmt: skip
     pairs = zip(words["result"], poor_fit(*judged), strict=True)
     words["result"] = tuple("poor_fit" if poor and name == "successful" else name for name, poor in pairs)
@@ -69,9 +70,9 @@ def _days_together(asked: Prepared) -> Iterator[str]:
 
 def _of_the_beam(asked: Prepared, residual: np.ndarray) -> Iterator[str]:
     """Where the direct beam contradicts the sky."""
-    weight, beam = asked.problem.direct_weight, asked.problem.direct
+    beam = asked.problem.beside
     for t, row in enumerate(residual):
-        if weight is None or beam is None or not (np.abs(row) > _FAR_BEAM).any():
+        if beam is None or not (np.abs(row) > _FAR_BEAM).any():
             continue
         worst = int(np.nanargmax(np.abs(row)))
         name = f"{asked.sky.wavelength_nm[asked.chosen[worst]]:g} nm"
@@ -82,9 +83,16 @@ def _of_the_beam(asked: Prepared, residual: np.ndarray) -> Iterator[str]:
             f"the fit: sky and beam contradict each other"
         )
         held = np.isfinite(row)
-        if depth and _as_of_air(asked, held, np.asarray(beam[t], float)[held]):
+        if depth and _as_of_air(asked, held, np.asarray(beam[t, : row.size], float)[held]):
             name = at_time(asked.sky, t)
             yield f"{name}without what air has it goes with the wavelength as a haze's: is it the total one?"
+
+
+def _of_the_degree(asked: Prepared, rms: np.ndarray) -> Iterator[str]:
+    """How far the measured polarisation is from that of the fit."""
+    for t in np.flatnonzero(np.isfinite(rms)):
+        name = at_time(asked.sky, int(t))
+        yield f"{name}degree of polarisation: model minus measurement {rms[t]:.2g} of its sigmas (rms)"
 
 
 def _as_of_air(asked: Prepared, held: np.ndarray, depth: np.ndarray) -> bool:
@@ -140,6 +148,7 @@ def _row(asked: Prepared, t: int, index: int, part: Estimate, spread: np.ndarray
         "widening": float(part.widening[index]),
         "residual_correlation": np.asarray(part.residual_correlation[index], float),
         "beam_residual": _beam_residual(asked, t, index, part),
+        "degree_rms": _degree_rms(asked, t, index, part),
         "degrees_of_freedom": float(part.freedom[index]),
         "kept_chi_square": kept_share * float(part.chi_square[index]),
         "weight": weight,
@@ -156,11 +165,24 @@ def _row(asked: Prepared, t: int, index: int, part: Estimate, spread: np.ndarray
 
 def _beam_residual(asked: Prepared, t: int, index: int, part: Estimate) -> np.ndarray:
     """Model minus measured direct beam over its sigma, `[fitted wavelength]`, NaN where none was measured."""
-    if part.direct is None or asked.problem.direct is None or asked.problem.direct_weight is None:
+    if not asked.problem.has_beam:
         return np.full(asked.chosen.size, np.nan)
-    weight = np.asarray(asked.problem.direct_weight[t], float)
-    off = np.asarray(part.direct[index], float) - np.asarray(asked.problem.direct[t], float)
-    return np.where(weight > 0.0, off * weight, np.nan)
+    return _beside_residual(asked, t, index, part)[: asked.chosen.size]
+
+
+def _degree_rms(asked: Prepared, t: int, index: int, part: Estimate) -> float:
+    """The root mean square residual of the degree of polarisation over its sigma, NaN where none is measured."""
+    first = asked.chosen.size if asked.problem.has_beam else 0
+    residual = _beside_residual(asked, t, index, part)[first:] if asked.problem.has_degree else np.empty(0)
+    known = residual[np.isfinite(residual)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+
+
+def _beside_residual(asked: Prepared, t: int, index: int, part: Estimate) -> np.ndarray:
+    """Model minus measurement over its sigma of what is measured besides the radiance, NaN where it is not."""
+    values, weight = (np.asarray(v, float) for v in (asked.problem.beside, asked.problem.beside_weight))
+    off = np.asarray(part.beside, float)[index] - values[t]
+    return np.where(weight[t] > 0.0, off * weight[t], np.nan)
 
 
 def described_time(

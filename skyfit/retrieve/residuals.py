@@ -52,13 +52,28 @@ class Priors(NamedTuple):
     """Gaussian priors on each parameter's scale: centre and one over sigma (0: none), in the order own, shared.
 
     `calibration`: one over the sigma of a wavelength's scale, None where the scale is exact. `step`: one over the sigma
-    of the change between two neighbours in time.
+    of the change between two neighbours in time. `smooth`: combinations of parameters, on their scales and over the
+    sigma, that are 0 before the data are seen, none mixed of own and shared.
     """
 
     centre: Float[Array, " parameter"]
     inverse_sigma: Float[Array, " parameter"]
     calibration: Float[Array, ""] | None
     step: Float[Array, "step own"]
+    smooth: Float[Array, "row parameter"]
+
+    def rows(self) -> Float[Array, "row parameter"]:
+        """The slopes of what is told of the parameters one by one, then of their combinations."""
+        return jnp.concatenate([jnp.diag(self.inverse_sigma), self.smooth])
+
+    def residual(self, scaled: Float[Array, " parameter"]) -> Float[Array, " row"]:
+        """`rows` at the parameters' places on their scales."""
+        return jnp.concatenate([(scaled - self.centre) * self.inverse_sigma, self.smooth @ scaled])
+
+    def of(self, which: slice) -> "Priors":
+        """Those of some of the parameters."""
+        centre, inverse_sigma = self.centre[which], self.inverse_sigma[which]
+        return self._replace(centre=centre, inverse_sigma=inverse_sigma, smooth=self.smooth[:, which])
 
 
 class Weighing(NamedTuple):
@@ -81,7 +96,7 @@ class Known(NamedTuple):
     those by the instrument's two pointing offsets in radians. Of one time, or with a time axis in front."""
 
     radiance: Float[Array, "*time direction channel"]
-    direct: Float[Array, "*time channel"] | None
+    beside: Float[Array, "*time other"] | None
     jacobian: Float[Array, "*time sample parameter"]
     turn: Float[Array, "*time direction channel axis"]
 
@@ -100,29 +115,29 @@ def _with_slope(names: tuple[str, ...], free):
     return jax.jvp(lambda v: on_scale(names, v), (free,), (jnp.ones_like(free),))
 
 
-def _samples(one: Problem, radiance, direct):
-    """Sky and direct beam in one row of samples."""
-    return radiance.reshape(-1) if one.direct is None else jnp.concatenate([radiance.reshape(-1), direct])
+def _samples(radiance, beside):
+    """The sky and what is measured besides in one row of samples."""
+    return radiance.reshape(-1) if beside is None else jnp.concatenate([radiance.reshape(-1), beside])
 
 
 def weight_of(one: Problem, weighing: Weighing) -> Float[Array, " sample"]:
-    """The weight of every sample of one time before the loss, 0 where masked; those of the direct beam are the last."""
+    """The weight of every sample of one time before the loss, 0 where masked; those of what is besides are the last."""
     sky = one.weight.reshape(-1) / weighing.scale
-    return sky if one.direct_weight is None else jnp.concatenate([sky, one.direct_weight * weighing.excess])
+    return sky if one.beside_weight is None else jnp.concatenate([sky, one.beside_weight * weighing.excess])
 
 
 def trusted(choices: Choices, threshold, one: Problem, known: Known, calibration, weighing: Weighing) -> Robust:
-    """The weighed residuals of one time after the loss; the direct beam is never trusted less."""
-    residual = _samples(one, known.radiance * calibration[None] - one.measured, beam_residual(one, known))
+    """The weighed residuals of one time after the loss; what is besides is never trusted less."""
+    residual = _samples(known.radiance * calibration[None] - one.measured, beside_residual(one, known))
     plain = residual * weight_of(one, weighing)
     after = robust(plain, choices.loss, threshold)
     sky = jnp.arange(plain.size) < one.measured.size
     return Robust(*(jnp.where(sky, part, end) for part, end in zip(after, (plain, 1.0, 1.0), strict=True)))
 
 
-def beam_residual(one: Problem, known: Known) -> Float[Array, " channel"] | None:
-    """The model's direct beam minus the measured one, or None."""
-    return None if one.direct is None or known.direct is None else known.direct - one.direct
+def beside_residual(one: Problem, known: Known) -> Float[Array, " other"] | None:
+    """Model minus measurement of what is measured besides the radiance, or None."""
+    return None if one.beside is None or known.beside is None else known.beside - one.beside
 
 
 def calibration_of(choices: Choices, point: Point, channels: int) -> Float[Array, " channel"]:
@@ -148,17 +163,17 @@ def columns_of(choices: Choices, one: Problem, known: Known, calibration, unit) 
 
 
 def reduced_rows(choices: Choices, rows, right, slope, prior_right):
-    """One time's rows as few, with a row for the prior of each of its own parameters.
+    """One time's rows as few, with those of the priors of its own parameters.
 
-    **Arguments:** `rows` `[row, column]`, columns as of `columns_of`; `right` `[row, side]`; slopes and right-hand
-    sides of the own parameters' priors.
+    **Arguments:** `rows` `[row, column]`, columns as of `columns_of`; `right` `[row, side]`; slopes `[row, own]` and
+    right-hand sides of the own parameters' priors.
     **Returns:** own, common (the channels' scales last), right.
     """
     count = len(choices.own)
     own, common, right = reduced(rows[:, :count], rows[:, count:], right, rows.shape[1] + 1)
-    nothing = jnp.zeros((count, common.shape[1]), common.dtype)
+    nothing = jnp.zeros((slope.shape[0], common.shape[1]), common.dtype)
     return (
-        jnp.concatenate([own, jnp.diag(slope)]),
+        jnp.concatenate([own, slope]),
         jnp.concatenate([common, nothing]),
         jnp.concatenate([right, prior_right]),
     )
@@ -197,15 +212,16 @@ def linearised(
 
     def read(solver, scaled):
         values = [PARAMETERS[n].from_scale(scaled[i]) for i, n in enumerate(names)]
-        return observe(solver, with_values(fixed, names, values), one)
+        found = observe(solver, with_values(fixed, names, values), one)
+        return found.radiance, found.beside
 
     every = jax.lax.map(lambda point: read(slopes_by or solver, point), points)
-    samples = jax.vmap(lambda sky, beam: _samples(one, sky, beam))(*every)
-    radiance, direct = jax.tree.map(lambda v: v[0], every) if slopes_by is None else read(solver, scaled)
+    samples = jax.vmap(_samples)(*every)
+    radiance, beside = jax.tree.map(lambda v: v[0], every) if slopes_by is None else read(solver, scaled)
     after, before = samples[1 : len(names) + 1], samples[len(names) + 1 :] if both else samples[:1]
     jacobian = ((after - before) / (ahead - behind)[:, None]).T
     turn = jnp.stack([jacobian[: radiance.size, names.index(n)] for n in POINTING], axis=-1) * (180.0 / np.pi)
-    return Known(radiance, direct, jacobian[:, :count], turn.reshape(*radiance.shape, len(POINTING)))
+    return Known(radiance, beside, jacobian[:, :count], turn.reshape(*radiance.shape, len(POINTING)))
 
 
 def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolver | None):
@@ -218,8 +234,9 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
         channels = problem.measured.shape[2]
         shared, calibration = here.shared[: len(choices.shared)], calibration_of(choices, here, channels)
         scaled, steep = jax.vmap(lambda own: _with_slope(choices.own, own))(here.own) if count else (here.own, here.own)
-        strength = priors.inverse_sigma[None, :count] * weighing.excess[:, None]
-        prior, tight = (scaled - priors.centre[None, :count]) * strength, steep * strength
+        mine = priors.of(slice(0, count))
+        prior = jax.vmap(mine.residual)(scaled) * weighing.excess[:, None]
+        tight = mine.rows()[None] * steep[:, None] * weighing.excess[:, None, None]
 
         def at(item):
             own, one, weighing, tight, prior = item
@@ -237,31 +254,36 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
         move = jax.tree.map(jnp.subtract, point, here)
         data = right[..., 0] + jnp.einsum("trp,tp->tr", own, move.own) + jnp.einsum("trs,s->tr", common, move.shared)
         stepped = step + link * (steep[1:] * move.own[1:] - steep[:-1] * move.own[:-1])
-        return Rows(data, shared_value + shared_slope * move.shared, stepped), known
+        return Rows(data, shared_value + shared_slope @ move.shared, stepped), known
 
     return rows
 
 
 def instrument_gain(calibration, one: Problem) -> Float[Array, " sample"]:
-    """The instrument's scale of every sample of one time, 1 for the direct beam."""
+    """The instrument's scale of every sample of one time, 1 for what is besides."""
     sky = jnp.broadcast_to(calibration[None], one.measured.shape).reshape(-1)
-    return sky if one.direct is None else jnp.concatenate([sky, jnp.ones(one.direct.shape[0], sky.dtype)])
+    return sky if one.beside is None else jnp.concatenate([sky, jnp.ones(one.beside.shape[0], sky.dtype)])
 
 
 def shared_priors(choices: Choices, shared, priors: Priors, excess):
-    """Residuals of the shared parameters' and the scales' priors, and their slopes."""
+    """Residuals of the shared parameters' and the scales' priors, and their slopes `[row, shared]`."""
     count, first = len(choices.shared), len(choices.own)
-    value, slope = shared[:0], shared[:0]
+    value, slope = shared[:0], jnp.zeros((0, count), shared.dtype)
     if count:
         scaled, steep = _with_slope(choices.shared, shared[:count])
-        strength = priors.inverse_sigma[first:] * excess
-        value, slope = (scaled - priors.centre[first:]) * strength, steep * strength
+        mine = priors.of(slice(first, None))
+        value, slope = mine.residual(scaled) * excess, mine.rows() * steep[None] * excess
     if priors.calibration is None:
         return value, slope
     scales = shared[count:] * priors.calibration
-    return jnp.concatenate([value, scales]), jnp.concatenate(
-        [slope, jnp.broadcast_to(priors.calibration, scales.shape)]
-    )
+    return jnp.concatenate([value, scales]), with_scales(slope, priors.calibration, scales.size)
+
+
+def with_scales(rows: Float[Array, "row shared"], calibration, scales: int) -> Float[Array, "row column"]:
+    """The priors' rows of the shared parameters with a column and a row for each channel's scale after them."""
+    own = jnp.diag(jnp.full(scales, calibration, rows.dtype))
+    above = jnp.pad(rows, ((0, 0), (0, scales)))
+    return jnp.concatenate([above, jnp.pad(own, ((0, 0), (rows.shape[1], 0)))])
 
 
 def cost(choices: Choices, priors: Priors, point: Point, residual, weighing: Weighing) -> Float[Array, ""]:
@@ -270,7 +292,7 @@ def cost(choices: Choices, priors: Priors, point: Point, residual, weighing: Wei
     count = len(choices.own)
     if count:
         scaled = jax.vmap(lambda own: on_scale(choices.own, own))(point.own)
-        strength = priors.inverse_sigma[None, :count] * weighing.excess[:, None]
-        total += jnp.sum(((scaled - priors.centre[None, :count]) * strength) ** 2)
+        prior = jax.vmap(priors.of(slice(0, count)).residual)(scaled)
+        total += jnp.sum((prior * weighing.excess[:, None]) ** 2)
         total += jnp.sum(((scaled[1:] - scaled[:-1]) * priors.step * weighing.of_all()) ** 2)
     return 0.5 * (total + jnp.sum(shared_priors(choices, point.shared, priors, weighing.of_all())[0] ** 2))

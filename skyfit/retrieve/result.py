@@ -5,10 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..atmosphere import BIN_RADII
 from ..measured import NoiseModel, Response, Sky, time_names
 from ..transport import AbstractSolver
 from .model import SkyModel
-from .parameters import fixed_values, PARAMETERS, with_values
+from .parameters import fixed_values, PARAMETERS, SIZE_BINS, with_values
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,8 +237,12 @@ def in_words(free: tuple[str, ...], found: dict, triangle: np.ndarray, priors: d
     sentences = [
         f"{name} is not determined by these data"
         for name, yes in zip(free, determined, strict=True)
-        if not yes and name not in together
+        if not yes and name not in together and name not in SIZE_BINS
     ]
+    loose = [PARAMETERS[name].index for name in SIZE_BINS if name in free and not determined[free.index(name)]]
+    if loose:
+        radii = ", ".join(f"{BIN_RADII[index]:.2g}" for index in loose)
+        sentences.append(f"these data know the size bins of {radii} um no better than by a quarter")
     if lobes is not None:
         sentences.append(
             f"only a combination is determined of {', '.join(together)}: "
@@ -255,6 +260,6 @@ def in_words(free: tuple[str, ...], found: dict, triangle: np.ndarray, priors: d
         _, singular, rows = np.linalg.svd(triangle)
         for value, row in zip(singular, rows, strict=False):
             mixed = [free[i] for i in np.flatnonzero(np.abs(row) > _PART)]
-            if value < 1.0 / _DETERMINED_SHARE and len(mixed) > 1 and not set(mixed) <= set(together):
+            if value < 1.0 / _DETERMINED_SHARE and len(mixed) > 1 and not set(mixed) <= {*together, *SIZE_BINS}:
                 sentences.append(f"only a combination is determined of {', '.join(mixed)}")
     return tuple(sentences)

@@ -65,7 +65,8 @@ def retrieve(
     times = problem.measured.shape[0]
     if priors is None:
         nothing = jnp.zeros(len(free), dtype)
-        priors = Priors(nothing, nothing, None, jnp.zeros((times - 1, len(choices.own)), dtype))
+        none = jnp.zeros((0, len(free)), dtype)
+        priors = Priors(nothing, nothing, None, jnp.zeros((times - 1, len(choices.own)), dtype), none)
     if start is None:
         point = jnp.stack([PARAMETERS[n].free_of(model) for n in choices.names]).astype(dtype)
         own, common = point[: len(choices.own)], point[len(choices.own) :]
@@ -93,7 +94,7 @@ def retrieve(
 def shape_of(problem: Problem, *_, **__) -> Estimate:
     """A tree of the structure of what `retrieve` gives for some samples, whatever else it is asked."""
     places = Estimate(*range(len(Estimate._fields)))  # pyright: ignore[reportArgumentType]
-    return places._replace(direct=None if problem.direct is None else places.direct, result=optx.RESULTS.successful)
+    return places._replace(beside=None if problem.beside is None else places.beside, result=optx.RESULTS.successful)
 
 
 def search(
@@ -148,10 +149,10 @@ def search(
     begins = Point(starts.own, jnp.concatenate([starts.shared, jnp.zeros((starts.own.shape[0], none), dtype)], axis=1))
     first = jax.tree.map(lambda v: v[0], begins)
     times, directions, _ = problem.measured.shape
-    samples = (directions + (problem.direct is not None)) * channels
+    samples = directions * channels + (0 if problem.beside is None else problem.beside.shape[1])
     nothing = Known(
         jnp.zeros_like(problem.measured),
-        None if problem.direct is None else jnp.zeros_like(problem.direct),
+        None if problem.beside is None else jnp.zeros_like(problem.beside),
         jnp.zeros((times, samples, len(choices.names)), dtype),
         jnp.zeros((*problem.measured.shape, len(POINTING)), dtype),
     )

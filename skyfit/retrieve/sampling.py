@@ -20,6 +20,9 @@ _SIZES = 4
 # of a direct beam whose sigma is not given, relative, and of the haze's optical depth: AERONET's field instruments have
 # 0.01 to 0.02 under an overhead sun (Giles et al. 2019, Atmos. Meas. Tech. 12, 169)
 _DIRECT_NOISE, _DEPTH_NOISE = 0.02, 0.01
+# of a degree of polarisation whose sigma is not given (Li et al. 2018, J. Quant. Spectrosc. Radiat. Transf. 218, 74:
+# better than 0.01 for CE318-DP photometers)
+_DEGREE_NOISE = 0.01
 
 
 class Sampling:
@@ -90,15 +93,21 @@ class Sampling:
         mask = used[rows, places][..., chosen] & first[..., None]
         measured = np.where(mask, sky.radiance[rows, places][..., chosen], 0.0)
         weight = np.where(mask, 1.0 / sigma[rows, places][..., chosen], 0.0)
-        direct = self._direct(chosen)
+        beam, degree = self._direct(chosen), self._degree(rows, places, chosen, mask)
+        parts = [part for part in (beam, degree) if part is not None]
+        values, weights = (
+            (as_float(np.concatenate(p, axis=1)) for p in zip(*parts, strict=True)) if parts else (None,) * 2
+        )
         arrays = self._arrays(slice(None), chosen)
         problem = Problem(
             **arrays,
             **self._views(rows, places, chosen),
             measured=as_float(measured),
             weight=as_float(weight),
-            direct=None if direct is None else as_float(direct[0]),
-            direct_weight=None if direct is None else as_float(direct[1]),
+            beside=values,
+            beside_weight=weights,
+            has_beam=beam is not None,
+            has_degree=degree is not None,
             field_of_view=self.field_of_view,
             direct_is_depth=sky.aerosol_optical_depth is not None,
         )
@@ -134,6 +143,17 @@ class Sampling:
         if not good.any():
             return None
         return np.where(good, values, 0.0), np.where(good, 1.0 / np.where(good, sigma, 1.0), 0.0)
+
+    def _degree(self, times, directions, chosen, mask):
+        """Degrees of polarisation in one row a time and one over their sigma; None where there are none."""
+        degree, sigma = self.sky.degree_of_polarisation, self.sky.degree_of_polarisation_sigma
+        if degree is None:
+            return None
+        sigma = np.full(degree.shape, _DEGREE_NOISE) if sigma is None else sigma
+        degree, sigma = (values[times, directions][..., chosen] for values in (degree, sigma))
+        good = mask & np.isfinite(degree) & np.isfinite(sigma) & (sigma > 0.0)
+        pair = np.where(good, degree, 0.0), np.where(good, 1.0 / np.where(good, sigma, 1.0), 0.0)
+        return tuple(values.reshape(len(values), -1) for values in pair) if good.any() else None
 
     def _arrays(self, times, channels) -> dict:
         """Suns and spectra of some times, at some of the sky's wavelengths, or for some channels of its response."""
@@ -177,7 +197,7 @@ class Sampling:
 
 
 def _reading(solver, model, one: Problem):
-    return observe(solver, model, one)[0]
+    return observe(solver, model, one).radiance
 
 
 # runs once or twice: what XLA's further passes gain is less than they take

@@ -26,7 +26,7 @@ from .loss import robust, typical_size
 from .model_error import model_errors
 from .parameters import PARAMETERS
 from .residuals import (
-    beam_residual,
+    beside_residual,
     bound,
     calibration_of,
     Choices,
@@ -39,6 +39,7 @@ from .residuals import (
     trusted,
     Weighing,
     weight_of,
+    with_scales,
 )
 
 
@@ -58,7 +59,7 @@ class Estimate(NamedTuple):
     `widening`: by how much more `noise` is widened, because the loss trusts some less; `chi_square` is of all samples
     and the stated noise. `error_share` of each kind of error, the samples' own first, in the squares of all together.
     `residual_correlation` of what is left, between neighbours in wavelength and in direction.
-    `radiance`, `direct`: what the instrument would read of the end. `gain`: d parameter / d radiance of the same time.
+    `radiance`, `beside`: what the instrument would read of the end. `gain`: d parameter / d radiance of the same time.
     `cost`: half the sum of squares after the loss.
     """
 
@@ -75,7 +76,7 @@ class Estimate(NamedTuple):
     widening: Float[Array, " time"]
     error_share: Float[Array, "time kind"]
     residual_correlation: Float[Array, "time neighbour"]
-    direct: Float[Array, "time channel"] | None
+    beside: Float[Array, "time other"] | None
     chi_square: Float[Array, " time"]
     calibration: Float[Array, " channel"]
     calibration_sigma: Float[Array, " channel"]
@@ -104,12 +105,10 @@ def components_at(choices: Choices, numbers: Numbers, problem: Problem, priors: 
     alone = problem.measured.shape[0] == 1
     calibration = calibration_of(choices, end.point, problem.measured.shape[2])
     # the slopes are by what stands on the parameters' scales
-    prior = priors.inverse_sigma
+    prior = priors.rows()
     if choices.calibrated:
-        exact = jnp.broadcast_to(jnp.asarray(priors.calibration, prior.dtype), calibration.shape)
-        prior = jnp.concatenate([prior, exact])
-
-    mine = prior.size if alone else len(choices.own)
+        prior = with_scales(prior, priors.calibration, calibration.size)
+    mine = prior.shape[1] if alone else len(choices.own)
 
     def at(item):
         one, known = item
@@ -117,7 +116,8 @@ def components_at(choices: Choices, numbers: Numbers, problem: Problem, priors: 
         sky = columns[: one.measured.size, :mine].reshape(*one.measured.shape, -1)
         residual = known.radiance * calibration[None] - one.measured
         errors = errors_of(one, known.radiance, known.turn)
-        return estimate(errors, residual, sky, prior[:mine], numbers.expected, choices.loss, numbers.threshold, alone)
+        given = prior[:, :mine], numbers.expected, choices.loss, numbers.threshold
+        return estimate(errors, residual, sky, *given, alone)
 
     return jax.lax.map(at, jax.lax.stop_gradient((problem, end.known)))
 
@@ -253,19 +253,20 @@ def _by_noise(blocks: Blocks, noise, priors: slice, excess, all_excess, prior_er
     `priors`, its rows of priors; `excess` of each time's, `all_excess` of links; `prior_error` of what all share.
     """
     times, effects, count = noise.shape[0], noise.shape[1], blocks.own.shape[2]
-    sides, kind = effects + 2 * count, noise.dtype
+    told = priors.stop - priors.start
+    sides, kind = effects + told + count, noise.dtype
     # rows that only guard have no error
     error = jnp.pad(prior_error, (0, blocks.prior.shape[0] - prior_error.size))
 
     def add(total, source):
         """What the errors of one time more move; those of what is shared come last."""
         here = (jnp.arange(times) == source)[:, None, None]
-        ties = jnp.where(here, jnp.eye(count, dtype=kind)[None], 0.0)
+        told_by, ties = (jnp.where(here, jnp.eye(size, dtype=kind)[None], 0.0) for size in (told, count))
         right = jnp.zeros((times, blocks.own.shape[1], sides), kind)
         right = right.at[:, :effects, :effects].set(jnp.where(here, noise, 0.0))
-        right = right.at[:, priors, effects : effects + count].set(ties * excess[:, None, None])
+        right = right.at[:, priors, effects : effects + told].set(told_by * excess[:, None, None])
         steps = jnp.zeros((times - 1, count, sides), kind)
-        steps = steps.at[:, :, effects + count :].set(ties[: times - 1] * all_excess)
+        steps = steps.at[:, :, effects + told :].set(ties[: times - 1] * all_excess)
         last = jnp.where(source == times, jnp.eye(error.size, sides, dtype=kind) * error[:, None], 0.0)
         shift = _moved(blocks._replace(right=right, prior_right=last, step_right=steps))
         return total + jnp.einsum("tpk,tqk->tpq", shift, shift), None
@@ -292,8 +293,9 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     # a unit on the parameter's scale is one e-fold, or the range
     unit = jnp.where(log, 1.0, as_float([PARAMETERS[n].spread(1.0) for n in names]))
     excess, all_excess = found.weighing.excess, found.weighing.of_all()
-    tight = unit * priors.inverse_sigma
-    own_tight, shared_tight = tight[None, :own_count] * excess[:, None], tight[own_count:] * all_excess
+    tight = priors.of(slice(0, own_count)).rows() * unit[None, :own_count]
+    own_tight = tight[None] * excess[:, None, None]
+    shared_tight = priors.of(slice(own_count, None)).rows() * unit[None, own_count:] * all_excess
     errors = model_errors(problem, known.radiance) * numbers.model_error
     level = numbers.level * jnp.where(jnp.arange(errors.shape[1]) < directions * channels, 1.0, 0.0)
     level = level[None] * _with_beam(known.radiance.reshape(times, -1), errors.shape[1])
@@ -302,20 +304,20 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
 
     def at(item):
         one, known, white, errors, sizes, weighing, tied = item
-        samples = jnp.sum(one.weight > 0.0) + (0 if one.direct_weight is None else jnp.sum(one.direct_weight > 0.0))
+        samples = jnp.sum(one.weight > 0.0) + (0 if one.beside_weight is None else jnp.sum(one.beside_weight > 0.0))
         held = samples, times
         residual = known.radiance * calibration[None] - one.measured
         plain = joined(white, whiten(white, residual[..., None])[..., 0])
         wide = _widening(choices, numbers.threshold, plain)
         stated = jnp.sum((residual * one.weight) ** 2)
-        beam = beam_residual(one, known)
-        if beam is not None and one.direct_weight is not None:
-            stated += jnp.sum((beam * one.direct_weight) ** 2)
+        beam = beside_residual(one, known)
+        if beam is not None and one.beside_weight is not None:
+            stated += jnp.sum((beam * one.beside_weight) ** 2)
         columns = columns_of(choices, one, known, calibration, unit)
         trust, rows, effects = _noise_of(choices, numbers.threshold, one, known, calibration, sizes, weighing, columns)
         weight = weight_of(one, weighing) * jnp.sqrt(trust)
         right = errors * (instrument_gain(calibration, one) * weight)[:, None]
-        parts = reduced_rows(choices, rows, right, tied, jnp.zeros((own_count, side), rows.dtype))
+        parts = reduced_rows(choices, rows, right, tied, jnp.zeros((tied.shape[0], side), rows.dtype))
         noise = _sides(jnp.concatenate(parts[:2], axis=1)[: rows.shape[1]], wide * effects)
         told = wide, _chi_square(choices, stated, held), _correlation(one, plain)
         trust = trust[: directions * channels].reshape(directions, channels)
@@ -326,10 +328,10 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     wide, chi_square, correlation = told
     scales = common.shape[2] - len(choices.shared)
     exact = 0.0 if priors.calibration is None else priors.calibration
-    prior = jnp.diag(jnp.concatenate([shared_tight, jnp.full(scales, exact, tight.dtype)]))
+    prior = with_scales(shared_tight, exact, scales)
     link = unit[None, :own_count] * priors.step * all_excess
     # of a prior, whose weight has the excess too
-    prior_error = jnp.concatenate([jnp.broadcast_to(all_excess, shared_tight.shape), jnp.ones(scales, own.dtype)])
+    prior_error = jnp.concatenate([jnp.full(len(shared_tight), all_excess), jnp.ones(scales, own.dtype)])
     blocks = Blocks(
         own, common, right, prior, jnp.zeros((prior.shape[0], side), own.dtype), -link, link,
         jnp.zeros((*link.shape, side), own.dtype),
@@ -338,7 +340,7 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
         lambda v: jnp.where(v > 0.0, _GUARD * v, 1.0),
         Point(
             jnp.sqrt(jnp.sum(own**2, axis=1)),
-            jnp.sqrt(jnp.sum(common**2, axis=(0, 1)) + jnp.diagonal(prior) ** 2),
+            jnp.sqrt(jnp.sum(common**2, axis=(0, 1)) + jnp.sum(prior**2, axis=0)),
         ),
     )
     marginal = marginal_rows(blocks, size)
@@ -348,8 +350,7 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     order = jnp.concatenate([marginal[..., count:], marginal[..., :count]], axis=2)
     triangles = jax.vmap(triangle)(order)[:, scales:, scales:]
     safe = damped(blocks, size)
-
-    rows = slice(own.shape[1] - own_count, own.shape[1])
+    rows = slice(own.shape[1] - own_tight.shape[1], own.shape[1])
     total = _by_noise(safe, noise, rows, excess, all_excess, prior_error)
     # what is not determined has no sigma
     unknown = jnp.isinf(jnp.diagonal(spreads, axis1=1, axis2=2))
@@ -364,8 +365,9 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
 
     gain = jax.lax.map(gain_at, (spreads, columns))
     deviations = jnp.diagonal(spreads, axis1=1, axis2=2)
-    weighed = jnp.concatenate([own_tight, jnp.broadcast_to(shared_tight[None], (times, shared_tight.size))], axis=1)
-    freedom = jnp.clip(1.0 - weighed**2 * deviations[:, :count], 0.0, 1.0)
+    weighed = jax.vmap(lambda own: jax.scipy.linalg.block_diag(own, shared_tight))(own_tight)
+    finite = jnp.where(jnp.isfinite(spreads), spreads, 0.0)[:, :count, :count]
+    freedom = jnp.clip(1.0 - jnp.einsum("tpq,trp,trq->tp", finite, weighed, weighed), 0.0, 1.0)
     freedom = jnp.sum(jnp.where(jnp.isfinite(deviations[:, :count]), freedom, 0.0), axis=1)
     scales_sigma = jnp.sqrt(jnp.diagonal(total[0])[count:]) if choices.calibrated else jnp.zeros(channels, own.dtype)
     return Estimate(
@@ -382,7 +384,7 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
         wide,
         shares,
         correlation,
-        known.direct,
+        known.beside,
         chi_square,
         calibration,
         scales_sigma,

@@ -72,8 +72,8 @@ class Head:
     """What keys of a file have said so far.
 
     `station`: numbers by the names of `Contents.station`; `moment`: when all samples were taken, NaT if not said;
-    `units`, `saturation`: text and number as they stand, with their place for errors; `calibration_sigma` as in `Sky`;
-    `made_by`: what made a simulated sky; `unknown`: keys that nothing here understands.
+    `units`, `saturation`: text and number as they stand, with their place for errors; `calibration_sigma` and
+    `follows_sun` as in `Sky`; `made_by`: what made a simulated sky; `unknown`: keys that nothing here understands.
     """
 
     name: str
@@ -82,6 +82,7 @@ class Head:
     units: tuple[str, str] | None = None
     saturation: float | None = None
     calibration_sigma: float = float("nan")
+    follows_sun: bool = False
     made_by: dict = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     unknown: list[str] = field(default_factory=list)
@@ -109,6 +110,8 @@ class Head:
             self.saturation = self._parsed(place, key, str(value), {})[0]
         elif word == "calibration_sigma":
             self.calibration_sigma = self._parsed(place, key, str(value), {})[0]
+        elif word == "follows_sun":
+            self.follows_sun = self._parsed(place, key, str(value), {})[0] != 0.0
         elif word in _REMARKS:
             self.notes += str(value).splitlines()
         elif word == "made_by":

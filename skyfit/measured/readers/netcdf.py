@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ..response import Response
-from ..samples import Sky
+from ..samples import DEGREE, Sky
 from ..units import IRRADIANCE, irradiance_factor, is_nanometre, is_radian, RADIANCE, radiance_factor
 from .colours import coloured_dataset
 from .dataset import load_dataset
@@ -21,7 +21,7 @@ AXES = ("time", "direction", "wavelength")
 BEAM, DEPTH = "direct_normal_irradiance", "aerosol_optical_depth"
 _USED = (
     *AXES, "radiance", "sigma", "suspect", "view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth",
-    "sun_azimuth_instrument", BEAM, f"{BEAM}_sigma", DEPTH, f"{DEPTH}_sigma",
+    "sun_azimuth_instrument", BEAM, f"{BEAM}_sigma", DEPTH, f"{DEPTH}_sigma", *DEGREE,
 )  # fmt: skip
 # what describes a file to people and catalogues: by CF and ACDD, and what libraries leave
 _DESCRIPTIVE = frozenset(
@@ -42,10 +42,11 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
     **Arguments**
 
     - `path`: NetCDF 4 (HDF5) or NetCDF 3; dimensions direction, wavelength and optionally time;
-      variables `radiance`, optionally `sigma`, `suspect` (1 = masked), `direct_normal_irradiance` and
-      `aerosol_optical_depth` [time, wavelength], each with a `_sigma`; coordinates `view_zenith`, `view_azimuth`
-      [direction], [time, direction] or [time, direction, wavelength], both NaN past the end of a shorter scan,
-      `wavelength`; `sun_zenith` and `sun_azimuth` [time] or [time, wavelength], or latitude, longitude and time.
+      variables `radiance`, optionally `sigma`, `suspect` (1 = masked), `degree_of_polarisation`,
+      `direct_normal_irradiance` and `aerosol_optical_depth` [time, wavelength], each with a `_sigma`; coordinates
+      `view_zenith`, `view_azimuth` [direction], [time, direction] or [time, direction, wavelength], both NaN past the
+      end of a shorter scan, `wavelength`; `sun_zenith` and `sun_azimuth` [time] or [time, wavelength], or latitude,
+      longitude and time.
       Channels of a camera or photometer: `channel` in place of the dimension wavelength, `response` [channel,
       spectrum], `spectrum` (nm), optionally `channel` (names), and `wavelength` [channel], what they are called;
       `radiance` is then in any unit, that of the response. `luminance` (cd m-2), alone or with `x` and `y`
@@ -105,6 +106,7 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
     direct, direct_sigma, converted = _beam(name, data, radiance)
     notes += converted
     depth, depth_sigma = _depths(name, data, radiance)
+    degree = [_spread(name, data, key, axes, radiance) if key in data else None for key in DEGREE]
     head, taken = _head(name, data)
     used = {*_USED, *taken, *flags} - (set() if depth is not None else {DEPTH, f"{DEPTH}_sigma"})
     unused = {
@@ -121,6 +123,8 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
             reasons=reasons,
             direct=direct,
             direct_sigma=direct_sigma,
+            degree=degree[0],
+            degree_sigma=degree[1],
             aerosol_depth=depth,
             aerosol_depth_sigma=depth_sigma,
             instrument=str(data.attrs.get("instrument", "")),
@@ -135,6 +139,7 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
             notes=head.notes + notes,
             made_by=head.made_by,
             calibration_sigma=head.calibration_sigma,
+            follows_sun=head.follows_sun,
             angles_known=known,
             turned=bool(note),
             response=eye if response is None else response,

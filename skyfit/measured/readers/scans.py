@@ -157,6 +157,7 @@ def series_of(
             # the sun at the zenith is no sun in radians
             angles_known=True,
             instrument=instrument,
+            follows_sun=True,
         ),
         moment,
     )

@@ -35,8 +35,9 @@ class Contents:
     "sun": of the sun's angles, if not that of "time");
     `angles_known`: the file said radians, so that no small angle is suspicious; `turned`: azimuths are in the
     instrument's own frame. `direct`, `direct_sigma`: irradiance of the sun's beam and its standard deviation,
-    W m^-2 nm^-1, [time, wavelength]; `aerosol_depth`, `aerosol_depth_sigma` likewise. `response`: of the channels that
-    stand in the place of wavelengths.
+    W m^-2 nm^-1, [time, wavelength]; `aerosol_depth`, `aerosol_depth_sigma` likewise;
+    `degree`, `degree_sigma`: of linear polarisation, as `radiance`. `response`: of the channels that
+    stand in the place of wavelengths. `instrument` and `follows_sun` as in `Sky`.
     """
 
     name: str
@@ -52,9 +53,12 @@ class Contents:
     reasons: dict[str, np.ndarray] = field(default_factory=dict)
     direct: np.ndarray | None = None
     direct_sigma: np.ndarray | None = None
+    degree: np.ndarray | None = None
+    degree_sigma: np.ndarray | None = None
     aerosol_depth: np.ndarray | None = None
     aerosol_depth_sigma: np.ndarray | None = None
     instrument: str = ""
+    follows_sun: bool = False
     calibration_sigma: float = float("nan")
     station: dict[str, float] = field(default_factory=dict)
     saturation: float | None = None
@@ -101,6 +105,7 @@ def screened(found: Contents) -> Sky:
             moving = np.deg2rad(views[0]), np.deg2rad(views[1])
     depths = (None if depth is None else depth[:, order] for depth in (found.aerosol_depth, found.aerosol_depth_sigma))
     depth, depth_sigma = depths
+    degree, degree_sigma = (None if v is None else v[..., order] for v in (found.degree, found.degree_sigma))
     try:
         return Sky(
             radiance=radiance,
@@ -125,9 +130,12 @@ def screened(found: Contents) -> Sky:
             direct_sigma=direct_sigma,
             aerosol_optical_depth=depth,
             aerosol_optical_depth_sigma=depth_sigma,
+            degree_of_polarisation=degree,
+            degree_of_polarisation_sigma=degree_sigma,
             view_zenith_by_wavelength=moving[0],
             view_azimuth_by_wavelength=moving[1],
             instrument=found.instrument,
+            follows_sun=found.follows_sun,
             calibration_sigma=found.calibration_sigma,
             masked=masked,
             reason=reason,

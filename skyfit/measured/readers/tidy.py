@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ..samples import Sky
+from ..samples import DEGREE, Sky
 from .colours import colour_names, coloured_rows
 from .flags import FLAG_NAMES, flagged_cells
 from .grid import Axis, by_time, fill, repeated
@@ -25,7 +25,7 @@ _EMPTY = {
     "sigma": np.nan,
     "suspect": 0.0,
     **dict.fromkeys(("sun_zenith", "sun_azimuth"), np.nan),
-    **dict.fromkeys(("direct_normal_irradiance", "direct_normal_irradiance_sigma"), np.nan),
+    **dict.fromkeys(("direct_normal_irradiance", "direct_normal_irradiance_sigma", *DEGREE), np.nan),
 }
 # These say one thing per time and wavelength
 SUN = ("sun_zenith", "sun_azimuth")
@@ -45,11 +45,11 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
     - `path`: columns view_zenith, view_azimuth (degrees), wavelength (nm), radiance
       (W m^-2 sr^-1 nm^-1), or luminance (cd m^-2), alone or with x and y (CIE 1931), in place of the last two,
       or normalized_radiance (pi L / E0), which units sr-1 of radiance (L / E0) say as well;
-      optionally time (ISO, UTC), sigma, suspect (1 = masked), quality_flag (0 = good, other masked) and, the same
-      in all rows of a time and wavelength, sun_zenith, sun_azimuth, direct_normal_irradiance and
-      direct_normal_irradiance_sigma (W m^-2 nm^-1); lines `# key: value` above, or columns of one value, carry
-      latitude, longitude, altitude_m, pressure_pa, fwhm_nm, ozone_du, sun_distance_au in the spellings and units that
-      `header` knows; lines alone units, saturation, notes, and time where no column does
+      optionally time (ISO, UTC), sigma, suspect (1 = masked), quality_flag (0 = good, other masked),
+      degree_of_polarisation and its `_sigma`, and, the same in all rows of a time and wavelength, sun_zenith,
+      sun_azimuth, direct_normal_irradiance and its `_sigma` (W m^-2 nm^-1); lines `# key: value` above, or columns of
+      one value, carry latitude, longitude, altitude_m, pressure_pa, fwhm_nm, ozone_du, sun_distance_au in the
+      spellings and units that `header` knows; lines alone units, saturation, notes, and time where no column does
     - `station`: numbers that stand instead of the file's own, by name; `own_units`: those of channels, of any name
 
     **Returns** a `Sky`; directions are the union over times, with masked samples where absent, or those of each time
@@ -137,9 +137,12 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
     def gridded(values, absent):
         return fill(shape, index, values, absent)[order]
 
+    degree = [gridded(number[key], np.nan) if key in number else None for key in DEGREE]
     sky = screened(
         Contents(
             name=name,
+            degree=degree[0],
+            degree_sigma=degree[1],
             radiance=gridded(number["radiance"], np.nan) * factor,
             sigma=gridded(number["sigma"], np.nan) * factor if "sigma" in number else None,
             suspect=gridded(number["suspect"], 0.0) != 0.0 if "suspect" in number else None,
@@ -157,6 +160,7 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
             notes=notes,
             made_by=head.made_by,
             calibration_sigma=head.calibration_sigma,
+            follows_sun=head.follows_sun,
             response=response,
             rows={axis: rows.tolist() for axis, rows in first.items()},
         )

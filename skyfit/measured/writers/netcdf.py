@@ -7,7 +7,7 @@ import numpy as np
 
 from ...extras import require
 from ..readers.netcdf import AXES, BEAM, DEPTH
-from ..samples import Sky
+from ..samples import DEGREE, Sky
 from ..units import IRRADIANCE, LUMINANCE, RADIANCE
 
 
@@ -51,6 +51,9 @@ def write_netcdf(sky: Sky, path: Path) -> None:
     }
     if sky.sigma is not None:
         variables["sigma"] = (whole, sky.sigma, light | {"long_name": "standard deviation of radiance"})
+    for key in DEGREE:
+        if getattr(sky, key) is not None:
+            variables[key] = (whole, getattr(sky, key), {"units": "1", "long_name": f"{key.replace('_', ' ')}, linear"})
     if sky.direct_irradiance is not None:
         about = {"units": IRRADIANCE, "long_name": "irradiance of the sun's beam on a plane normal to it"}
         variables[BEAM] = (whole[::2], sky.direct_irradiance, about)
@@ -114,7 +117,7 @@ def degrees(radians: np.ndarray) -> np.ndarray:
 
 
 def attributes(sky: Sky) -> dict[str, float]:
-    """The station, line shape and calibration of `sky`, by their names in files; what is NaN is left out."""
+    """The station, line shape, calibration and tracking of `sky`, by their names in files; what is NaN is left out."""
     values = {
         "latitude": sky.latitude_deg,
         "longitude": sky.longitude_deg,
@@ -124,5 +127,6 @@ def attributes(sky: Sky) -> dict[str, float]:
         "ozone_du": sky.ozone_du,
         "sun_distance_au": sky.sun_distance_au,
         "calibration_sigma": sky.calibration_sigma,
+        "follows_sun": 1.0 if sky.follows_sun else np.nan,
     }
     return {name: float(value) for name, value in values.items() if np.isfinite(value)}

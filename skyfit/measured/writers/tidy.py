@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..readers.tidy import BEAM, REQUIRED, SUN
-from ..samples import Sky
+from ..samples import DEGREE, Sky
 from ..units import LUMINANCE, RADIANCE
 from .netcdf import attributes, degrees
 
@@ -37,7 +37,9 @@ def write_tidy(sky: Sky, path: Path) -> None:
                 "a CSV tells directions apart by `view_zenith` and `view_azimuth`: expected all to differ; write NetCDF"
             )
     header = (["time"] if timed else []) + list(REQUIRED)
-    header += (["sigma"] if sky.sigma is not None else []) + ["suspect", *SUN]
+    each = {"sigma": sky.sigma} | {key: getattr(sky, key) for key in DEGREE}
+    each = {key: values for key, values in each.items() if values is not None}
+    header += [*each, "suspect", *SUN]
     beam = [values for values in (sky.direct_irradiance, sky.direct_sigma) if values is not None]
     header += BEAM[: len(beam)]
     grid = sky.radiance.shape[::2]
@@ -59,11 +61,10 @@ def write_tidy(sky: Sky, path: Path) -> None:
             for direction in np.flatnonzero(there[time]):
                 angles = views[time, direction].tolist()
                 rows = sky.radiance[time, direction].tolist()
-                sigma = None if sky.sigma is None else sky.sigma[time, direction].tolist()
                 masked = (~sky.usable[time, direction]).astype(int).tolist()
                 for place, wavelength in enumerate(wavelengths):
                     row = [*start, *angles, wavelength, _cell(rows[place])]
-                    row += [] if sigma is None else [_cell(sigma[place])]
+                    row += [_cell(float(values[time, direction, place])) for values in each.values()]
                     row += [masked[place], sun[0][time][place], sun[1][time][place]]
                     writer.writerow([*row, *(_cell(float(values[time, place])) for values in beam)])
 
