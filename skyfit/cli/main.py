@@ -14,14 +14,9 @@ from .options import app
 
 # importing a command registers it
 _COMMANDS = (simulate, render, refit, export, convert, invert, perez, sensitivity)
-# XLA ends the process over a flag that it does not know, so these are for the jaxlib that they were tried on. The first
-# two compile in about half of the time to programs that run as fast; without the third some sums of many terms are
-# wrong, and some over seven axes crash: github.com/jax-ml/jax/issues/39103 and 39257
-_FLAGS = (
-    "--xla_cpu_use_fusion_emitters=false",
-    "--xla_backend_optimization_level=1",
-    "--xla_cpu_experimental_ynn_fusion_type=-reduce",
-)
+# compile in about half of the time to programs that run as fast. XLA ends the process over a flag that it does not
+# know, so these are for the jaxlib that they were tried on
+_FLAGS = "--xla_cpu_use_fusion_emitters=false", "--xla_backend_optimization_level=1"
 _TRIED_ON = "0.10.2"
 
 

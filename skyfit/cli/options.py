@@ -81,13 +81,10 @@ class LossName(StrEnum):
     cauchy = "cauchy"
 
 
+_SOLVERS = "all orders of scattering, the same on into night, two, one, Klassen's shells, Hoffman's uniform air"
+NamedSolverOption = Annotated[str, typer.Option(metavar=f"[{'|'.join(SOLVER_NAMES)}]", help=_SOLVERS)]
 SolverOption = Annotated[
-    str,
-    typer.Option(
-        metavar=f"[{'|'.join(SOLVER_NAMES)}|auto]",
-        help="all orders of scattering, the same on into night, two, one, Klassen's shells, Hoffman's uniform air; "
-        "auto: by --tolerance",
-    ),
+    str, typer.Option(metavar=f"[{'|'.join(SOLVER_NAMES)}|auto]", help=f"{_SOLVERS}; auto: by --tolerance")
 ]
 PresetOption = Annotated[PresetName, typer.Option(help="resolution of the solver")]
 GeometryOption = Annotated[GeometryName, typer.Option(help="curved paths, or a flat Earth")]

@@ -15,10 +15,10 @@ from .options import (
     GeometryOption,
     in_range,
     LineShape,
+    NamedSolverOption,
     PresetName,
     PresetOption,
     refuse,
-    SolverOption,
 )
 
 
@@ -45,7 +45,7 @@ def sensitivity_command(
     utc_offset: UtcOffset = None,
     altitude: Altitude = None,
     fwhm: LineShape = None,
-    solver: SolverOption = "orders",
+    solver: NamedSolverOption = "orders",
     preset: PresetOption = PresetName.normal,
     geometry: GeometryOption = GeometryName.spherical,
 ):
@@ -91,6 +91,8 @@ def sensitivity_command(
     width = None if np.isnan(sky.fwhm_nm) else sky.fwhm_nm
     scene = Scene.from_degrees(sun[0], Directions(*views), spectrum, sun[1], fwhm_nm=width)
     keep_in(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
+    if solver == "auto":
+        raise ValueError("`--solver auto` chooses to a tolerance, which this command does not take")
     chosen = make_solver(solver, preset, geometry)
     with progress("differentiating", f"sensitivity, {in_words(chosen)}", sizes(names, scene, air)):
         information = np.asarray(fisher_information(scene, air, names, relative, solver=chosen))
