@@ -21,6 +21,7 @@ MANY = HERE / "results" / "fit_many.json"
 POLARISATION = HERE / "results" / "polarisation.json"
 SPACE = HERE / "results" / "space.json"
 CHOOSE = HERE / "results" / "choose.json"
+HARD = HERE / "results" / "hard_cases.json"
 IPRT = HERE / "results" / "iprt.json"
 ALMUCANTARS = HERE / "results" / "almucantars.json"
 SIZE_BINS = HERE / "results" / "size_bins.json"
@@ -603,6 +604,30 @@ def by_tolerance(record: dict) -> str:
     return "\n".join(lines)
 
 
+def hard(record: dict) -> str:
+    """What becomes of random scenes over all that a scene can be."""
+    lines = [
+        "| random scenes | scenes | not finite | negative | with gradients | of them not finite | float32 farther than 1e-3 "
+        "from float64, of spectra |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, row in record["programs"].items():
+        bad = [sum(row[dtype][what] for dtype in ("float32", "float64")) for what in ("not finite", "negative")]
+        slopes, far = row["scenes with gradients"], row["float32 farther than 1e-3"]
+        wrong = row["float32"].get("gradients not finite", 0) + row["float64"].get("gradients not finite", 0)
+        lines.append(
+            f"| {name} | {row['scenes']} | {bad[0]} | {bad[1]} | {slopes} | {wrong if slopes else '-'} | "
+            f"{far} of {row['spectra']} |"
+        )
+    lines += [
+        "",
+        "A Sobol sequence over suns, views, heights, haze (optical depth to 50, asymmetry of -0.95 to 0.999), ground,",
+        "ozone and wavelengths, `draft`, in float32 and float64. No radiance is negative because what streams leave",
+        "below nothing is nothing: such views, under thick haze that absorbs or scatters backward, are black, not right.",
+    ]
+    return "\n".join(lines)
+
+
 def between(text: str, marks: tuple[str, str], content: str) -> str:
     """The text with other content between two marks."""
     before, rest = text.split(marks[0])
@@ -624,6 +649,7 @@ def updated() -> dict[pathlib.Path, str]:
             from_every_height(read(IPRT)),
             ground_to_space(read(SPACE)),
             by_tolerance(read(CHOOSE)),
+            hard(read(HARD)),
             inverted(measured, recovery, read(INVERSION), read(MANY)),
             error_bars(read(BARS)),
             almucantars(read(ALMUCANTARS)),
