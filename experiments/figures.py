@@ -607,8 +607,8 @@ def by_tolerance(record: dict) -> str:
 def hard(record: dict) -> str:
     """What becomes of random scenes over all that a scene can be."""
     lines = [
-        "| random scenes | scenes | not finite | negative | with gradients | of them not finite | float32 farther than 1e-3 "
-        "from float64, of spectra |",
+        "| random scenes | scenes | not finite | negative | with gradients | of them not finite | "
+        "float32 farther than 1e-3 from float64, of spectra |",
         "|---|---|---|---|---|---|---|",
     ]
     for name, row in record["programs"].items():
@@ -622,8 +622,9 @@ def hard(record: dict) -> str:
     lines += [
         "",
         "A Sobol sequence over suns, views, heights, haze (optical depth to 50, asymmetry of -0.95 to 0.999), ground,",
-        "ozone and wavelengths, `draft`, in float32 and float64. No radiance is negative because what streams leave",
-        "below nothing is nothing: such views, under thick haze that absorbs or scatters backward, are black, not right.",
+        "ozone and wavelengths, `draft`, in float32 and float64. No radiance is negative because what streams",
+        "leave below nothing is nothing: such views, under thick haze that absorbs or scatters backward, are black, not",
+        "right.",
     ]
     return "\n".join(lines)
 
