@@ -623,8 +623,8 @@ def hard(record: dict) -> str:
         "",
         "A Sobol sequence over suns, views, heights, haze (optical depth to 50, asymmetry of -0.95 to 0.999), ground,",
         "ozone and wavelengths, `draft`, in float32 and float64. No radiance is negative because what streams",
-        "leave below nothing is nothing: such views, under thick haze that absorbs or scatters backward, are black, not",
-        "right.",
+        "leave below nothing is nothing: such views, under thick haze that absorbs or scatters backward, are black,",
+        "not right.",
     ]
     return "\n".join(lines)
 
