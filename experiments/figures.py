@@ -284,7 +284,8 @@ def size_bins(record: dict) -> str:
     lines += [
         "",
         "Optical depth 0.2 or more at 440 nm; sasktran2's skies of its own Mie code on 320 radii, scalar, by turns of",
-        "two modes and of straight lines a tenth off them; `--free bins`.",
+        "two modes and of straight lines a tenth off them; `--free bins`. Sigma is stated larger than what was added",
+        "(noise 2 and 1 %, calibration 5 and 0.5 %, depth 0.01 and 0.005), so that 2 sigma hold more than 95 %.",
     ]
     return "\n".join(lines)
 

@@ -18,7 +18,6 @@ from skyfit.retrieve.parameters import SIZE_BINS
 
 
 WAVELENGTH = np.array([440.0, 675.0, 1020.0])
-BINS = tuple(name for name in BINS_FREE if not name.startswith("pointing_"))
 
 
 def haze(depth=0.3, **index) -> skyfit.BinnedAerosol:

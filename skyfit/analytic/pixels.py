@@ -99,4 +99,5 @@ def paled(rgb: Float[Array, "3 ..."]) -> Float[Array, "3 ..."]:
     grey = jnp.maximum(red * rgb[0] + green * rgb[1] + blue * rgb[2], 0.0)
     least = jnp.minimum(jnp.min(rgb, axis=0), 0.0)
     share = jnp.where(least < 0.0, grey / jnp.where(least < 0.0, grey - least, 1.0), 1.0)
-    return grey[None] + share[None] * (rgb - grey[None])
+    # rounding may leave the last digit of grey below nothing
+    return jnp.maximum(grey[None] + share[None] * (rgb - grey[None]), 0.0)

@@ -1,17 +1,15 @@
 """What `--tolerance` means, for every command: the solver that `choose` finds for all skies of a command."""
 
-from collections.abc import Iterable
-
 import numpy as np
 import typer
 
 from ..atmosphere import Atmosphere
 from ..measured import Response, Sky
 from ..scene import Directions, Scene
-from ..transport import Choice, choose, Spherical
+from ..transport import Choice
 from .models import tolerance_of
 from .options import refuse
-from .printing import say
+from .printing import say, warn
 
 
 def allowed_of(context: typer.Context, solver: str, tolerance: str | None, held: tuple[str, ...]) -> float | None:
@@ -20,19 +18,6 @@ def allowed_of(context: typer.Context, solver: str, tolerance: str | None, held:
         return None
     refuse(context, (*held, *("solver",) * (solver != "auto")), "`--tolerance`, which chooses the solver")
     return tolerance_of(tolerance)
-
-
-def chosen_for(skies: Iterable[tuple[Atmosphere, Scene]], allowed: float) -> Choice:
-    """One choice for several skies with all their constituents: the dearest, which the others need no more than.
-
-    The sphere where any of them needs it; the error to expect is the largest of all.
-    """
-    choices = [choose(air, scene, allowed, keep_all=True) for air, scene in skies]
-    spheres = [choice for choice in choices if isinstance(choice.solver, Spherical)]
-    one = max(spheres or choices, key=lambda choice: choice.seconds)
-    return one._replace(
-        expected_error=max(choice.expected_error for choice in choices), met=all(choice.met for choice in choices)
-    )
 
 
 def scenes_of(sky: Sky, atmosphere: Atmosphere, response: Response | None) -> list[Scene]:
@@ -50,9 +35,20 @@ def scenes_of(sky: Sky, atmosphere: Atmosphere, response: Response | None) -> li
     return found
 
 
+def record_of(choice: Choice, allowed: float) -> dict:
+    """What a file keeps of a choice."""
+    return {
+        "tolerance": allowed, "expected_error": choice.expected_error, "met": choice.met,
+        "reasons": list(choice.reasons),
+    }  # fmt: skip
+
+
 def print_choice(choice: Choice, allowed: float) -> None:
     """Why this solver, and the error to expect of it."""
     for reason in choice.reasons:
         say(f"  {reason}")
-    more = "" if choice.met else f", where {100.0 * allowed:.2g} % was asked for"
-    say(f"error to expect: {100.0 * choice.expected_error:.2g} % at most{more}")
+    expected = f"error to expect: {100.0 * choice.expected_error:.2g} % at most"
+    if choice.met:
+        say(expected)
+    else:
+        warn(f"{expected}, where {100.0 * allowed:.2g} % was asked for")

@@ -134,14 +134,16 @@ def invert_command(
     import jax
 
     from ..draw import plot
+    from ..extras import require
     from ..measured import NoiseModel
     from ..programs import keep_in
     from ..records import save, write_products
     from ..retrieve import aerosol_products, invert
+    from ..transport.choose import choose_for_all
     from .asked import free_of, priors_of, response_of, samples_of, shared_of, smooth_of, start_of, values_of_fix
-    from .chosen import allowed_of, chosen_for, print_choice, scenes_of
+    from .chosen import allowed_of, print_choice, scenes_of
     from .fit_report import print_fit
-    from .models import atmosphere_of, in_words, make_solver
+    from .models import atmosphere_of, make_solver, settings_of
     from .printing import give, progress, say, warn, written
 
     allowed = allowed_of(context, solver, tolerance, ("preset", "geometry", "polarised"))
@@ -171,12 +173,14 @@ def invert_command(
     asked = None if free is None and not known else names
     start = start_of(names, known, measured, None if atmosphere is None else atmosphere_of(atmosphere))
     common = shared_of(names, shared, independent, tuple(smoothed), len(measured.time))
+    if products:
+        require("xarray", "h5netcdf")
     check_folder(out)
     keep_in(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
     size = f"{measured.radiance.shape}, {', '.join(names)}; {', '.join(common)}; {starts} starts, jackknife {jackknife}"
 
     def fitted(last, first, start, measurement):
-        with progress("fitting", f"invert, {in_words(last)}", size) as report:
+        with progress("fitting", f"invert, {settings_of(last)}", size) as report:
             return invert(
                 measured, asked, last, start, progress=report, shared=common, measurement=measurement,
                 response=channels, priors=priors, smooth=smoothed, draft=first, starts=starts,
@@ -195,7 +199,7 @@ def invert_command(
         scenes = scenes_of(measured, start.atmosphere, channels)
         models, fit = [start] * len(scenes), None
         for _ in range(_CHOICES):
-            found = chosen_for([(m.atmosphere, scene) for m, scene in zip(models, scenes, strict=True)], allowed)
+            found = choose_for_all([(m.atmosphere, scene) for m, scene in zip(models, scenes, strict=True)], allowed)
             if choice is not None and found.solver == choice.solver and found.expected_error <= choice.expected_error:
                 break
             choice = found
@@ -243,12 +247,12 @@ def predict_command(
     """Predict the radiance of fitted skies in other directions or at other wavelengths."""
     from ..records import load, write_prediction
     from ..retrieve import predict
-    from .models import in_words
+    from .models import settings_of
     from .printing import give, progress, say
 
     fitted = load(fit)
     sky = read_asked(at, latitude, longitude, utc_offset, altitude, None)
-    with progress("predicting", f"predict, {in_words(fitted.solver)}", str(sky.radiance.shape)):
+    with progress("predicting", f"predict, {settings_of(fitted.solver)}", str(sky.radiance.shape)):
         radiance = predict(fitted, sky)
     write_prediction(sky, radiance, out)
     say(f"{out}: {' x '.join(map(str, radiance.shape))} (time, direction, wavelength)")

@@ -142,7 +142,11 @@ def check_folder(path: Path) -> None:
 
 def end(results: Iterable[str]) -> None:
     """Ends the program with code 3 where a search did not come to its end, such as at its limit of steps."""
-    if not {"successful", "poor_fit"}.issuperset(results):
+    from .printing import warn
+
+    ended = [word for word in results if word not in ("successful", "poor_fit")]
+    if ended:
+        warn(f"a search did not come to its end: {', '.join(sorted(set(ended)))}")
         raise typer.Exit(3)
 
 

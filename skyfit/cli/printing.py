@@ -27,7 +27,7 @@ def speak(quiet: bool | None = None, as_json: bool | None = None) -> None:
 def give(record: dict) -> None:
     """The result as one JSON document on standard output, where `--json` asked for it."""
     if console.stderr:
-        print(json.dumps(record, indent=1, allow_nan=False, default=str))
+        print(json.dumps(record, indent=1, allow_nan=False))
 
 
 def say(sentence: str, on: Console = console) -> None:

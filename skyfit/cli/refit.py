@@ -106,8 +106,9 @@ def refit_command(
     from ..extras import require
     from ..records import write_coefficients
     from ..scene import hemisphere, Scene
-    from .chosen import allowed_of, chosen_for, print_choice
-    from .models import atmosphere_of, in_words, make_atmosphere, make_solver
+    from ..transport.choose import choose_for_all
+    from .chosen import allowed_of, print_choice
+    from .models import atmosphere_of, make_atmosphere, make_solver, settings_of
     from .printing import give, progress, written
     from .refit_report import draw_skies, print_refit
 
@@ -143,9 +144,10 @@ def refit_command(
         skies = [
             (by_depth(turbidity_to_optical_depth(haze)), Scene.from_degrees(sun, dome, colours)) for sun, haze in ends
         ]
-        choice = chosen_for(skies, allowed)
+        choice = choose_for_all(skies, allowed)
         chosen = choice.solver
-    with progress("simulating skies and fitting", f"refit {form.value}, {in_words(chosen)}", str(directions)) as report:
+    size = f"{directions}, {', '.join(by_depth(0.1).names)}"
+    with progress("simulating skies and fitting", f"refit {form.value}, {settings_of(chosen)}", size) as report:
         result = refit(
             chosen, lambda turbidity: by_depth(turbidity_to_optical_depth(turbidity)),
             directions=directions, form=form.value, flat_below_deg=flat_below, progress=report,

@@ -140,7 +140,8 @@ def render(
     from ..image.render import check_height, EYE, render as rendered, SPECTRUM
     from ..scene import hemisphere, Scene
     from ..transport import SOLVERS, Spherical
-    from .chosen import allowed_of, chosen_for, print_choice
+    from ..transport.choose import choose_for_all
+    from .chosen import allowed_of, print_choice, record_of
     from .models import analytic_of, atmosphere_of, make_solver
     from .printing import give, progress, say
     from .sequence import begin, Frame, frames_of
@@ -191,9 +192,9 @@ def render(
     if allowed is not None:
         # an eye's height is the ground's
         observer = None if height == EYE else height
-        scenes = (Scene.from_degrees(f.zenith, hemisphere(343), SPECTRUM, f.azimuth, height=observer) for f in todo)
+        scenes = [Scene.from_degrees(f.zenith, hemisphere(343), SPECTRUM, f.azimuth, height=observer) for f in todo]
         assert isinstance(sky, Atmosphere)
-        choice = chosen_for(((sky, scene) for scene in scenes), allowed)
+        choice = choose_for_all([(sky, scene) for scene in scenes], allowed)
         asked["solver"] = choice.solver
     view = None if field_of_view is None else float(np.radians(field_of_view))
     camera = Camera(
@@ -231,7 +232,10 @@ def render(
     pictures = [
         {"file": str(f.path), "time": f.time, "sun_zenith_deg": f.zenith, "sun_azimuth_deg": f.azimuth} for f in todo
     ]
-    give({"pictures": pictures, "projection": projection.value, "width": camera.width, "height": camera.height})
+    made_by = {} if choice is None or allowed is None else {"choice": record_of(choice, allowed)}
+    give(
+        made_by | {"pictures": pictures, "projection": projection.value, "width": camera.width, "height": camera.height}
+    )
 
 
 def _told_of(frames, out: Path) -> None:

@@ -61,11 +61,12 @@ def sensitivity_command(
     import numpy as np
 
     from ..atmosphere import Atmosphere
+    from ..measured import atomic
     from ..programs import keep_in
     from ..retrieve import fisher_information, next_directions, posterior_covariance, SkyModel, values_of
     from ..scene import Directions, hemisphere, Scene
     from .asked import free_of, names_in, priors_of, times_of
-    from .models import atmosphere_of, in_words, make_solver, sizes
+    from .models import atmosphere_of, make_solver, settings_of, sizes
     from .printing import give, progress, written
     from .sensitivity_report import print_sensitivity, prior_sigmas, record_of
 
@@ -94,7 +95,7 @@ def sensitivity_command(
     if solver == "auto":
         raise ValueError("`--solver auto` chooses to a tolerance, which this command does not take")
     chosen = make_solver(solver, preset, geometry)
-    with progress("differentiating", f"sensitivity, {in_words(chosen)}", sizes(names, scene, air)):
+    with progress("differentiating", f"sensitivity, {settings_of(chosen)}", sizes(names, scene, air)):
         information = np.asarray(fisher_information(scene, air, names, relative, solver=chosen))
     measured = np.arange(int(seen.sum()))
     covariance = np.asarray(posterior_covariance(information[measured].sum(axis=0), prior_sigma))
@@ -102,7 +103,8 @@ def sensitivity_command(
     after = Directions(*(view[choice.order] for view in views))
     values = np.array([values_of(SkyModel(air), names)[name] for name in names])
     record = record_of(sky, sun, spectrum, relative, names, values, covariance, prior_sigma, after, choice.sigma)
-    out.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    with atomic(out) as part:
+        part.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     print_sensitivity(record)
     written([out])
     give(record)

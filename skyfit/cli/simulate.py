@@ -89,7 +89,7 @@ def simulate(
     from ..programs import keep_in
     from ..scene import Directions, hemisphere, Scene
     from ..transport import check_scene, choose, low_sun, LowSunWarning, Spherical
-    from .chosen import allowed_of, print_choice
+    from .chosen import allowed_of, print_choice, record_of
     from .models import (
         in_words,
         kept_radiance,
@@ -128,7 +128,7 @@ def simulate(
     choice = None if allowed is None else choose(air, scene, allowed)
     if choice is not None:
         chosen, air = choice.solver, choice.atmosphere
-    kind = "" if analytic is not None else f"simulate, {in_words(chosen)}"
+    kind = "" if analytic is not None else f"simulate, {settings_of(chosen)}"
     with progress("simulating", kind, sizes((), scene, air)):
         if analytic is None:
             keep_in(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
@@ -149,13 +149,8 @@ def simulate(
             made_by = {"coefficients": coefficients, "turbidity": haze}
             if not analytic.valid(haze, scene.sun_zenith):
                 warn("these coefficients extrapolate here")
-    if choice is not None:
-        made_by |= {
-            "choice": {
-                "tolerance": allowed, "expected_error": choice.expected_error, "met": choice.met,
-                "reasons": list(choice.reasons),
-            }
-        }  # fmt: skip
+    if choice is not None and allowed is not None:
+        made_by["choice"] = record_of(choice, allowed)
     about |= {"made_by": {"skyfit_version": skyfit_version(), "model": model, "precision": precision()} | made_by}
     low, high, _ = STATION_RANGES["pressure_pa"]
     if analytic is None and given is None:

@@ -24,19 +24,30 @@ def waiting(kind: str, size: str) -> Iterator[str]:
         yield ""
         return
     known, before, began = _read(Path(folder)), _programs(Path(folder)), time.monotonic()
-    yield _words(known.get(kind, {}), size)
+    yield _words(known[kind], size) if _is_entry(known.get(kind)) else ""
     took = time.monotonic() - began
     compiled = _programs(Path(folder)) != before
     # another process may have kept some of its own in the meantime
     known = _read(Path(folder))
-    entry = known.setdefault(kind, {"compiled": None, "sizes": {}})
+    if not _is_entry(known.get(kind)):
+        known[kind] = {"compiled": None, "sizes": {}}
+    entry = known[kind]
     if compiled:
         entry["compiled"] = took
     # what compiled once is quicker the next time
     entry["sizes"][size] = None if compiled else took
+    from ..measured import atomic
+
     # a folder that cannot be written to costs the estimate, no result
-    with suppress(OSError):
-        (Path(folder) / _FILE).write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
+    with suppress(OSError), atomic(Path(folder) / _FILE) as part:
+        part.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
+
+
+def _is_entry(known: object) -> bool:
+    """Whether it is what `waiting` keeps: of a foreign file nothing is told."""
+    if not isinstance(known, dict) or not isinstance(known.get("sizes"), dict):
+        return False
+    return all(isinstance(v, float | None) for v in (known.get("compiled"), *known["sizes"].values()))
 
 
 def _words(known: dict, size: str) -> str:

@@ -11,7 +11,7 @@ from ..atmosphere import Atmosphere
 from ..light import extraterrestrial_irradiance, observer_weights, SRGB_FROM_XYZ
 from ..numerics import as_float, check_range
 from ..scene import Directions, Scene
-from ..transport import AbstractSolver, Path, SingleScattering, Spherical
+from ..transport import AbstractSolver, check_scene, Path, SingleScattering, Spherical
 from .camera import Camera
 from .render import EYE, SPECTRUM, sunlight
 
@@ -75,6 +75,9 @@ def air_to(
     check_range("height", height, 0.0, 1e9, "m")
     light = sunlight() if wavelength_nm is None else extraterrestrial_irradiance(np.asarray(wavelength_nm))
     nm = as_float(SPECTRUM if wavelength_nm is None else wavelength_nm)
+    # with numbers, which are traced later on
+    straight_up = Directions(as_float([0.0]), as_float([0.0]))
+    check_scene(solver, atmosphere, Scene(sun_zenith, sun_azimuth, straight_up, nm, light, height))
     east, north, up = camera.views().reshape(3, -1).astype(float)
     zenith, azimuth = np.arctan2(np.hypot(east, north), up), np.arctan2(east, north)
 
@@ -122,5 +125,9 @@ def coloured(path: Path) -> Path:
     """Linear sRGB of a path at the wavelengths of `SPECTRUM`, as `air_to` has it."""
     weights = as_float(observer_weights(SPECTRUM) @ SRGB_FROM_XYZ.T)
     light = as_float(sunlight())
-    passed = ((path.transmittance * light[None]) @ weights) / (light @ weights)[None]
-    return Path(jnp.clip(passed, 0.0, 1.0), path.inscatter @ weights)
+
+    def rgb(spectra):
+        return jnp.matmul(spectra, weights, precision="highest")
+
+    passed = rgb(path.transmittance * light[None]) / rgb(light)[None]
+    return Path(jnp.clip(passed, 0.0, 1.0), rgb(path.inscatter))

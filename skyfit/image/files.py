@@ -39,6 +39,7 @@ def write_picture(
     OpenImageIO has for them; each format keeps those that it knows.
     **Errors:** `ValueError` where the file cannot be written.
     """
+    require("OpenImageIO")
     import OpenImageIO as oiio
 
     height, width, channels = pixels.shape

@@ -9,10 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ..atmosphere import Atmosphere
+from ..extras import require
 from ..measured import atomic
 from ..numerics import as_float, check_range
 from ..scene import Directions, Scene
-from ..transport import Path, Spherical, SphericalField
+from ..transport import check_scene, Path, Spherical, SphericalField
 from ..transport.columns import EARTH_RADIUS, slant_columns, TOP_OF_AIR
 from ..transport.optics import optics
 from .air import along, coloured
@@ -27,8 +28,9 @@ TRANSMITTANCE, MULTIPLE, SKY_VIEW, VOLUME = (256, 64), (32, 32), (192, 108), (32
 _SLICE = 4000.0
 # how a texel is found, for who reads the files
 _WORDS = {
-    "transmittance": "Of the sun's light to the top of the air, by place and direction. r = earth_radius_m + height, "
-    "H = sqrt(top^2 - earth^2), rho = sqrt(r^2 - earth^2), d = distance to the top; v = rho / H, "
+    "transmittance": "Of the sun's light to the top of the air, by place and direction. earth = earth_radius_m, "
+    "top = earth + top_of_air_m, r = earth + height, H = sqrt(top^2 - earth^2), rho = sqrt(r^2 - earth^2), "
+    "d = distance to the top; v = rho / H, "
     "u = (d - (top - r)) / (rho + H - (top - r)).",
     "multiple_scattering": "Diffuse light from all sides over 4 pi, all orders: times the scattering coefficient it is "
     "what air sends out in each direction, beside sunlight scattered once. u = 0.5 + 0.5 cos(sun zenith), "
@@ -37,8 +39,9 @@ _WORDS = {
     "a = zenith angle, h = that of the horizon (pi - asin(earth / (earth + height))): v = 0.5 - 0.5 sqrt(1 - a / h) "
     "above it, 0.5 + 0.5 sqrt((a - h) / (pi - h)) below; u = sqrt(0.5 - 0.5 cos(azimuth from the sun)).",
     "aerial_perspective": "R, G, B: what the air sends to the eye before an object; A: the mean transmittance of R, G, "
-    "B. Slices side by side: in each u, v are the picture's, from the left and the top; slice k ends at distance "
-    "((k + 1) / 32)^2 * 128 km along the view.",
+    "B. Slices side by side: in each u, v are the picture's, from the left and the top, u kept within the slice. "
+    f"Slice k of 0 to {VOLUME[2] - 1} ends at distance ((k + 1) / {VOLUME[2]})^2 * {1e-3 * _SLICE * VOLUME[2]:g} km "
+    "along the view; before the first, light and 1 - A grow in proportion to the distance.",
 }
 
 
@@ -65,7 +68,8 @@ def luts(
     check_range("height", height, 0.0, 0.999 * TOP_OF_AIR, "m")
     if camera.projection != "perspective":
         raise ValueError(f"`camera` must be a perspective one, whose frustum is cut, got {camera.projection!r}")
-    check_range("sun_zenith", sun_zenith, 0.0, np.radians(solver.suns.largest_deg), "rad", "Spherical")
+    straight_up = Directions(as_float([0.0]), as_float([0.0]))
+    check_scene(solver, atmosphere, Scene(sun_zenith, sun_azimuth, straight_up, SPECTRUM, sunlight(), height))
     # for the table of all suns and heights
     field = solver.prepare(atmosphere, SPECTRUM)
 
@@ -112,6 +116,8 @@ def write_luts(
     of the solver away from the sun's aureole and the horizon's last half degree (tests).
     **Source:** Hillaire 2020, Comput. Graph. Forum 39, 13; transmittance as Bruneton & Neyret 2008 lay it out.
     """
+    require("OpenImageIO")
+    check_range("sun_azimuth", sun_azimuth, -4.0 * np.pi, 4.0 * np.pi, "rad")
     camera = Camera("perspective", azimuth=sun_azimuth) if camera is None else camera
     found = luts(atmosphere, camera, solver, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, height=height)
     folder = FilePath(folder)
@@ -198,8 +204,9 @@ def _multiple(field: SphericalField) -> Float[np.ndarray, "row column 3"]:
     columns, rows = MULTIPLE
     height, cosine = np.meshgrid(TOP_OF_AIR * _units(rows), 2.0 * _units(columns) - 1.0, indexing="ij")
     sun = np.arccos(cosine.ravel())
-    light = field.mean_radiance(as_float(height.ravel()), as_float(sun)) * as_float(sunlight())[None]
     # the field knows no lower suns, whose light is a millionth
-    light = jnp.where(as_float(sun)[:, None] <= field.suns_deg[1] * np.pi / 180.0, light, 0.0)
+    lowest = np.radians(float(field.suns_deg[1]))
+    light = field.mean_radiance(as_float(height.ravel()), as_float(np.minimum(sun, lowest)))
+    light = jnp.where(as_float(sun)[:, None] <= lowest, light * as_float(sunlight())[None], 0.0)
     found = coloured(Path(jnp.ones_like(light), light)).inscatter
     return np.asarray(found, np.float32).reshape(rows, columns, 3)

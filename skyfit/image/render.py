@@ -65,7 +65,8 @@ def render(
     camera = Camera() if camera is None else camera
     sun_zenith, sun_azimuth, height = float(sun_zenith), float(sun_azimuth), float(height)
     seen_zenith = sun_zenith if sun_seen_zenith is None else float(sun_seen_zenith)
-    check_range("sun_seen_zenith", seen_zenith, 0.0, np.pi, "rad")
+    low, high = max(sun_zenith - _REFRACTED, 0.0), min(sun_zenith + _REFRACTED, np.pi)
+    check_range("sun_seen_zenith", seen_zenith, low, high, "rad", "what air refracts")
     if sun not in ("disc", "none", "lamp"):
         raise ValueError(f'`sun` must be "disc", "none" or "lamp", got {sun!r}')
     check_range("height", height, 0.0, 1e9, "m")

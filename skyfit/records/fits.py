@@ -147,6 +147,8 @@ def _settings(asked: Prepared, max_steps: int, guess: bool, starts: int) -> dict
     # told only where there are some: the digest of other skies stays as it was
     depths = [v for v in (sky.aerosol_optical_depth, sky.aerosol_optical_depth_sigma) if v is not None]
     depths += [np.array(sky.calibration_sigma)] if np.isfinite(sky.calibration_sigma) else []
+    if sky.degree_of_polarisation is not None:
+        depths += [np.array(0), sky.degree_of_polarisation, sky.degree_of_polarisation_sigma]
     leaves, structure = jax.tree.flatten(asked.start)
     kinds = np.frombuffer(repr(structure).encode(), np.uint8)
     return {

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ..atmosphere import BIN_RADII, BinnedAerosol, TwoModeAerosol
+from ..extras import require
 from ..numerics import as_float, check_range
 from .model import SkyModel
 from .parameters import with_values
@@ -66,6 +67,7 @@ def aerosol_products(
     **Returns:** a dataset, which `to_netcdf` and `write_products` write. **Errors:** `ValueError` for a haze without
     such optics, for wavelengths that it does not know, and for radii of 0 or less.
     """
+    require("xarray")
     import xarray
 
     if not _has_optics(fit):

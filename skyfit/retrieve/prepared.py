@@ -142,7 +142,8 @@ def prepared(
     free = usual_free(sky) if free is None else tuple(free)
     measurement = NoiseModel() if measurement is None else measurement
     # colours of a camera are told less by polarisation than by what its channels really are
-    solver = OrdersOfScattering.normal(polarised=sky.response is None) if solver is None else solver
+    polarised = sky.response is None or sky.degree_of_polarisation is not None
+    solver = OrdersOfScattering.normal(polarised=polarised) if solver is None else solver
     start = start_at(sky, free) if start is None else start
     check_free(free, start)
     known, ties = _checked_priors(priors or {}, free), dict(smooth or {})

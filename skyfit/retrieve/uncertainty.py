@@ -10,17 +10,7 @@ from ..numerics import as_float, solve_upper, triangle
 from ..numerics.chain import Blocks, damped, marginal_rows, Point, solve_chain
 from ..numerics.least_squares import covariance
 from ..scene import angle_between
-from .components import (
-    Components,
-    errors_of,
-    estimate,
-    joined,
-    moved_by,
-    share_of,
-    whiten,
-    Whitening,
-    whitening,
-)
+from .components import Components, errors_of, estimate, joined, moved_by, share_of, whiten, Whitening, whitening
 from .forward import Problem
 from .loss import robust, typical_size
 from .model_error import model_errors
@@ -367,8 +357,9 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     deviations = jnp.diagonal(spreads, axis1=1, axis2=2)
     weighed = jax.vmap(lambda own: jax.scipy.linalg.block_diag(own, shared_tight))(own_tight)
     finite = jnp.where(jnp.isfinite(spreads), spreads, 0.0)[:, :count, :count]
-    freedom = jnp.clip(1.0 - jnp.einsum("tpq,trp,trq->tp", finite, weighed, weighed), 0.0, 1.0)
-    freedom = jnp.sum(jnp.where(jnp.isfinite(deviations[:, :count]), freedom, 0.0), axis=1)
+    known_by_data = 1.0 - jnp.einsum("tpq,trp,trq->tp", finite, weighed, weighed)
+    # where a prior ties parameters together only their sum means something
+    freedom = jnp.clip(jnp.where(jnp.isfinite(deviations[:, :count]), known_by_data, 0.0).sum(axis=1), 0.0, count)
     scales_sigma = jnp.sqrt(jnp.diagonal(total[0])[count:]) if choices.calibrated else jnp.zeros(channels, own.dtype)
     return Estimate(
         values,

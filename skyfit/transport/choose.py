@@ -2,7 +2,8 @@
 
 import functools
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import fields
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -81,13 +82,11 @@ class _Candidate(NamedTuple):
     seconds: float
 
 
-def choose(
-    atmosphere: Atmosphere, scene: Scene, tolerance: float, *, of: Of = "maximum", keep_all: bool = False
-) -> Choice:
+def choose(atmosphere: Atmosphere, scene: Scene, tolerance: float, *, of: Of = "maximum") -> Choice:
     """The cheapest way to solve a scene whose error stays under a tolerance, and why.
 
     **Arguments:** `tolerance`, relative, in (0, 1]; `of`: it holds for the "maximum" over the scene's directions above
-    the horizon and its wavelengths, or for their "median"; `keep_all`: no constituent is left out.
+    the horizon and its wavelengths, or for their "median".
     **Returns:** a `Choice`. **Errors:** `ValueError` for what is traced, and for a sun or wavelengths that no solver
     knows.
     **Valid:** on the host, outside jit. Errors are of the radiance, against
@@ -95,6 +94,52 @@ def choose(
     suns to 80 degrees; what lower suns add is counted. The model of errors (data/error_model.csv) knows observers on
     the ground, suns to 88 degrees, 340 to 1000 nm, haze to an optical depth of 1.5 by its moments; `Spherical` beyond.
     """
+    judged = _judge(atmosphere, scene, tolerance, of)
+    if judged is None:
+        return _dark(atmosphere, scene)
+    place, met = _cheapest([candidate.seconds for candidate in judged.candidates], judged.off, tolerance)
+    chosen = judged.candidates[place]
+    left_out = _without(atmosphere, chosen, judged.errors, tolerance)
+    return _told(judged, chosen, tolerance, of, met, *left_out)
+
+
+def choose_for_all(skies: Sequence[tuple[Atmosphere, Scene]], tolerance: float, *, of: Of = "maximum") -> Choice:
+    """One solver for several skies with all their constituents: the cheapest that keeps to a tolerance in each.
+
+    **Arguments:** pairs of atmosphere and scene, one at least; else as `choose`.
+    **Returns:** a `Choice`: its atmosphere and reasons are those of the sky where the solver's error is largest, which
+    is the error to expect; `seconds` for all.
+    """
+    found = [_judge(atmosphere, scene, tolerance, of) for atmosphere, scene in skies]
+    judged = [each for each in found if each is not None]
+    if not judged:
+        return _dark(*skies[0])
+    tables = [{_settings(c.solver): i for i, c in enumerate(each.candidates)} for each in judged]
+    common = [settings for settings in tables[0] if all(settings in table for table in tables)]
+    # places of the candidates that all have, by sky
+    places = [[table[settings] for settings in common] for table in tables]
+    time = np.array([[j.candidates[i].seconds for i in row] for j, row in zip(judged, places, strict=True)]).sum(axis=0)
+    off = np.array([[j.off[i] for i in row] for j, row in zip(judged, places, strict=True)])
+    place, met = _cheapest(time.tolist(), off.max(axis=0).tolist(), tolerance)
+    worst = int(np.argmax(off[:, place]))
+    told = _told(judged[worst], judged[worst].candidates[places[worst][place]], tolerance, of, met)
+    known = all(not each.errors.unknown(each.scene) for each in judged)
+    return told._replace(seconds=float(time[place]), known=known)
+
+
+class _Judged(NamedTuple):
+    """A sky, the solvers that know it, and how far each may be off."""
+
+    atmosphere: Atmosphere
+    scene: Scene
+    sun: float
+    errors: "_Errors"
+    candidates: list[_Candidate]
+    off: list[float]
+
+
+def _judge(atmosphere: Atmosphere, scene: Scene, tolerance: float, of: Of) -> _Judged | None:
+    """None where all is dark."""
     check_numbers("choose", (atmosphere, scene, tolerance))
     if of not in ("maximum", "median"):
         raise ValueError(f'`of` must be "maximum" or "median", got {of!r}')
@@ -105,26 +150,50 @@ def choose(
     check_range("sun_zenith", scene.sun_zenith, 0.0, np.radians(_SPHERICAL[-1][0]), "rad", "suns to 108 degrees")
     seen = _looked_at(scene)
     if not scatterer_indices(atmosphere.constituents) or seen is None:
-        solver = SingleScattering.draft()
-        why = "nothing scatters" if seen is not None else "no view meets the sky"
-        return Choice(solver, atmosphere, 0.0, seconds(solver, atmosphere, scene), (f"{why}: all is dark",), True, True)
-    errors = _Errors(atmosphere, *seen, sun, of)
-    candidates = sorted(_candidates(atmosphere, scene, sun), key=lambda c: c.seconds)
-    off = [errors.altogether(c.effects) for c in candidates]
-    place = next((i for i, error in enumerate(off) if error <= tolerance), int(np.argmin(off)))
-    chosen, met = candidates[place], off[place] <= tolerance
+        return None
+    errors, candidates = _Errors(atmosphere, *seen, sun, of), _candidates(atmosphere, scene, sun)
+    off = [errors.altogether(candidate.effects) for candidate in candidates]
+    return _Judged(atmosphere, scene, sun, errors, candidates, off)
+
+
+def _dark(atmosphere: Atmosphere, scene: Scene) -> Choice:
+    solver = SingleScattering.draft()
+    why = "no view meets the sky" if scatterer_indices(atmosphere.constituents) else "nothing scatters"
+    return Choice(solver, atmosphere, 0.0, seconds(solver, atmosphere, scene), (f"{why}: all is dark",), True, True)
+
+
+def _cheapest(time: list[float], off: list[float], tolerance: float) -> tuple[int, bool]:
+    """The place of the cheapest of those that are allowed, or of the nearest where none is; whether one is."""
+    allowed = [i for i, error in enumerate(off) if error <= tolerance]
+    return (min(allowed, key=lambda i: time[i]), True) if allowed else (int(np.argmin(off)), False)
+
+
+def _settings(solver: AbstractSolver) -> tuple:
+    return type(solver), *(getattr(solver, field.name) for field in fields(solver))
+
+
+def _told(
+    judged: _Judged,
+    chosen: _Candidate,
+    tolerance: float,
+    of: Of,
+    met: bool,
+    kept: Atmosphere | None = None,
+    left: tuple[int, ...] = (),
+    said: Sequence[str] = (),
+) -> Choice:
+    """The choice of a candidate, and why; `kept`, the atmosphere without what is `left` out, of which is `said`."""
+    errors, scene = judged.errors, judged.scene
     reasons = [f"{of} over {scene.view.zenith.shape[0]} directions and {scene.wavelength_nm.shape[0]} wavelengths"]
-    reasons += _of_solver(chosen, candidates, errors, sun, scene)
-    kept, left, said = (atmosphere, (), []) if keep_all else _without(atmosphere, chosen, errors, tolerance)
-    reasons += said
-    known = errors.unknown(scene)
-    reasons += [f"beyond what the errors were fitted to: {what}" for what in known]
+    reasons += [*_of_solver(chosen, judged.candidates, errors, judged.sun, scene), *said]
+    unknown = errors.unknown(scene)
+    reasons += [f"beyond what the errors were fitted to: {what}" for what in unknown]
     expected = errors.altogether(chosen.effects, left)
     if not met:
         reasons.append(f"no solver stays under {_percent(tolerance)}: the nearest may be {_percent(expected)} off")
-    return Choice(
-        chosen.solver, kept, expected, seconds(chosen.solver, kept, scene), tuple(reasons), bool(met), not known
-    )
+    air = judged.atmosphere if kept is None else kept
+    time = seconds(chosen.solver, air, scene)
+    return Choice(chosen.solver, air, expected, time, tuple(reasons), met, not unknown)
 
 
 def check_numbers(name: str, given) -> None:

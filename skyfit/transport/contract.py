@@ -90,7 +90,8 @@ class Stokes(NamedTuple):
         r"""The degree of linear polarisation, $\sqrt{Q^2 + U^2} / I$, in [0, 1]; 0 in the dark."""
         lit = self.radiance > 0.0
         polarised = safe_sqrt(jnp.asarray(self.q**2 + self.u**2))
-        return jnp.where(lit, polarised / jnp.where(lit, self.radiance, 1.0), 0.0)
+        share = polarised / jnp.where(lit, self.radiance, 1.0)
+        return jnp.where(lit, jnp.minimum(share, 1.0), 0.0)
 
     @property
     def angle(self) -> Float[Array, "direction wavelength"]:

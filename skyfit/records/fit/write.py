@@ -213,8 +213,11 @@ def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) ->
     seen = seen if seen.ndim == 3 else seen[..., None]
     usable = np.isfinite(radiance) & seen & ((radiance >= 0.0) | (sky.response is not None))
     notes = (f"predicted by skyfit for the samples of {sky.source}",)
-    beam = ("direct_irradiance", "direct_sigma", "aerosol_optical_depth", "aerosol_optical_depth_sigma")
-    predicted = {"radiance": radiance, "sigma": None, "usable": usable, **dict.fromkeys(beam)}
+    measured = (
+        "direct_irradiance", "direct_sigma", "aerosol_optical_depth", "aerosol_optical_depth_sigma",
+        "degree_of_polarisation", "degree_of_polarisation_sigma",
+    )  # fmt: skip
+    predicted = {"radiance": radiance, "sigma": None, "usable": usable, **dict.fromkeys(measured)}
     write_sky(replace(sky, **predicted, masked={}, notes=notes, instrument=""), path)
 
 

@@ -108,7 +108,9 @@ class SphericalField(eqx.Module):
         solved for; the sun's beam is not in it, and what haze scatters into its forward peak counts as beam (delta-M).
         """
         check_range("height", height, 0.0, np.inf, "m")
-        check_range("sun_zenith", sun_zenith, 0.0, np.pi, "rad")
+        suns = concrete(self.suns_deg)
+        low, high = (0.0, np.pi) if suns is None else np.radians(suns)
+        check_range("sun_zenith", sun_zenith, low, high, "rad", "suns that were solved")
         levels = cubic_weights(height_coordinate(as_float(height), self.resolution), self.resolution.levels)
         rows = jnp.einsum("pl,ps,lsw->pw", levels, self._suns(as_float(sun_zenith)), self.solution.moments[:, :, 0])
         return rows / (4.0 * np.pi)
