@@ -27,6 +27,8 @@ SPECTRUM = np.arange(390.0, 751.0, 20.0)
 _CHUNK, _PIXELS = 4096, 1 << 20
 # m: of an observer on the ground
 EYE = 2.0
+# rad: refraction lifts the sun by less
+_REFRACTED = 0.02
 
 
 def render(
@@ -65,6 +67,7 @@ def render(
     camera = Camera() if camera is None else camera
     sun_zenith, sun_azimuth, height = float(sun_zenith), float(sun_azimuth), float(height)
     seen_zenith = sun_zenith if sun_seen_zenith is None else float(sun_seen_zenith)
+    check_range("sun_zenith", sun_zenith, 0.0, np.pi, "rad")
     low, high = max(sun_zenith - _REFRACTED, 0.0), min(sun_zenith + _REFRACTED, np.pi)
     check_range("sun_seen_zenith", seen_zenith, low, high, "rad", "what air refracts")
     if sun not in ("disc", "none", "lamp"):
