@@ -30,8 +30,8 @@ MOST_MAPS = 40_000
 MAPS = Path("/proc/self/maps")
 
 
-# compilation is most of the time of a test: programs that run a few times are not worth optimising
-FLAGS = ["--xla_backend_optimization_level=0"]
+# compilation is most of the time of a test: programs that run a few times are hardly worth optimising
+FLAGS = ["--xla_backend_optimization_level=1"]
 if version("jaxlib") == "0.10.2":
     # as the command line does
     FLAGS.append("--xla_cpu_use_fusion_emitters=false")

@@ -3,6 +3,7 @@ import json
 from dataclasses import replace
 from importlib.metadata import version
 
+import jaxtyping
 import numpy as np
 import pytest
 import xarray
@@ -14,12 +15,14 @@ from skyfit.cli import app, known
 from skyfit.cli.fit_report import print_fit
 from skyfit.cli.models import kept_radiance, turbidity_of
 from skyfit.retrieve import PARAMETERS, PARTICLE_FREE, SLOW, values_of
+from skyfit.retrieve.parameters import SIZE_BINS
 
 
 # of a haze of spheres, which the skies here have not
 SPHERES = (
     "fine_fraction", "fine_radius", "coarse_radius", "fine_width", "coarse_width", "refractive_index",
-    "absorption_index",
+    "absorption_index", "refractive_index_slope", "absorption_index_exponent", "absorption_index_curvature",
+    *SIZE_BINS,
 )  # fmt: skip
 
 
@@ -28,8 +31,11 @@ WAVELENGTHS = "420:680:20"
 
 @pytest.fixture(autouse=True)
 def nothing_kept():
-    """A command that was called in this process keeps programs from then on."""
+    """A command that was called in this process keeps programs from then on; its context is none of typer's own."""
+    before = jaxtyping.config.jaxtyping_disable
+    jaxtyping.config.update("jaxtyping_disable", True)
     yield
+    jaxtyping.config.update("jaxtyping_disable", before)
     programs.keep_in(None)
 
 
