@@ -13,6 +13,8 @@ Projection = Literal["equirect", "fisheye", "cube", "perspective"]
 Mapping = Literal["equidistant", "equisolid", "stereographic"]
 # pixels on a side
 _LARGEST = 32768.0
+# stands for the width and height that are usual for a projection
+_USUAL = -1
 _SIZES = {"equirect": (1024, 512), "fisheye": (1024, 1024), "cube": (1536, 256), "perspective": (1024, 576)}
 # right, up and ahead of each face of a cube, on the axes right, up and ahead of who looks at its fifth
 _FACES = np.array([
@@ -68,8 +70,8 @@ class Camera:
     """
 
     projection: Projection = "equirect"
-    width: int = 0
-    height: int = 0
+    width: int = _USUAL
+    height: int = _USUAL
     azimuth: float = np.pi
     elevation: float = 0.0
     field_of_view: float | None = None
@@ -81,11 +83,11 @@ class Camera:
     def __post_init__(self):
         if self.projection not in get_args(Projection):
             raise ValueError(f"`projection` must be one of {', '.join(get_args(Projection))}, got {self.projection!r}")
-        if self.width == self.height == 0:
+        if self.width == self.height == _USUAL:
             for name, usual in zip(("width", "height"), _SIZES[self.projection], strict=True):
                 object.__setattr__(self, name, usual)
-        elif 0 in (self.width, self.height):
-            raise ValueError(f"`width` and `height` must be given together, got {self.width} and {self.height} pixels")
+        elif _USUAL in (self.width, self.height):
+            raise ValueError("`width` and `height` must be given together, or left out")
         for name in ("width", "height"):
             check_range(name, getattr(self, name), 1.0, _LARGEST, "pixels")
         if self.projection == "cube" and self.width != 6 * self.height:
