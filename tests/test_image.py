@@ -377,7 +377,7 @@ def test_what_cannot_be_rendered_is_refused(change, said):
     with pytest.raises(ValueError, match="`height` must be left at 2 m"):
         skyfit.render(skyfit.Atmosphere.from_turbidity(2.0), solver=skyfit.SingleScattering(), height=1e4, **SUN)
     with pytest.raises(ValueError, match="`width` must be"):
-        skyfit.Camera(width=0)
+        skyfit.Camera("equirect", 0, 8)
     with pytest.raises(ValueError, match="6 times"):
         skyfit.Camera("cube", 100, 50)
     with pytest.raises(ValueError, match="`mirrored` must be left out"):

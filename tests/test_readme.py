@@ -54,7 +54,7 @@ DEAR = {
     "AerialPerspective", "aerosol_optics", "aerosol_products", "Bruneton", "DoubleScattering", "Estimate",
     "estimate_error", "Fit", "fit_many", "Fits", "invert", "load", "OrdersOfScattering", "Panorama", "plot", "predict",
     "read_coefficients", "read_fits", "read_panorama", "refit", "save", "scattered_light", "Spherical",
-    "SphericalField", "Stokes", "upsample", "Upsampled", "write_products",
+    "SphericalField", "Stokes", "upsample", "Upsampled", "write_products", "write_luts",
 }  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from ..numerics import chebyshev_weights, check_range, check_wavelength, gauss_legendre
 from ..tables import read_arrays
@@ -93,7 +93,7 @@ def _moment_weights(count: int) -> np.ndarray:
 
 
 def class_weights(
-    radius: Float[Array, " part"], width: Float[Array, " part"], wavelength_nm: Float[Array, " wavelength"]
+    radius: Float[Array, " part"], width: Float[Array, " part"], wavelength_nm: Float[ArrayLike, " wavelength"]
 ) -> Float[Array, "part wavelength class"]:
     """The classes' shares of the volume of each part that is normal in ln(radius), radius in micrometres."""
     table = _tables(jnp.result_type(radius))

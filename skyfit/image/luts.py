@@ -115,6 +115,11 @@ def write_luts(
     component, transmittances are kept between 0 and 1. Read bilinearly with clamped edges, the sky view is within 2 %
     of the solver away from the sun's aureole and the horizon's last half degree (tests).
     **Source:** Hillaire 2020, Comput. Graph. Forum 39, 13; transmittance as Bruneton & Neyret 2008 lay it out.
+
+    **Example:**
+
+        >>> air = skyfit.Atmosphere.from_turbidity(2.0)
+        >>> skyfit.write_luts(air, "luts", solver=skyfit.Spherical.draft(), sun_zenith=1.0)
     """
     require("OpenImageIO")
     check_range("sun_azimuth", sun_azimuth, -4.0 * np.pi, 4.0 * np.pi, "rad")

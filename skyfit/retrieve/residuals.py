@@ -279,7 +279,7 @@ def shared_priors(choices: Choices, shared, priors: Priors, excess):
     return jnp.concatenate([value, scales]), with_scales(slope, priors.calibration, scales.size)
 
 
-def with_scales(rows: Float[Array, "row shared"], calibration, scales: int) -> Float[Array, "row column"]:
+def with_scales(rows: Float[Array, "row shared"], calibration, scales: int) -> Float[Array, "more column"]:
     """The priors' rows of the shared parameters with a column and a row for each channel's scale after them."""
     own = jnp.diag(jnp.full(scales, calibration, rows.dtype))
     above = jnp.pad(rows, ((0, 0), (0, scales)))
