@@ -39,8 +39,10 @@ def waiting(kind: str, size: str) -> Iterator[str]:
     from ..measured import atomic
 
     # a folder that cannot be written to costs the estimate, no result
-    with suppress(OSError), atomic(Path(folder) / _FILE) as part:
-        part.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
+    with suppress(OSError, ValueError):
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        with atomic(Path(folder) / _FILE) as part:
+            part.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
 
 
 def _is_entry(known: object) -> bool:
