@@ -137,7 +137,13 @@ def test_how_long_a_call_takes_is_what_the_like_took(tmp_path, monkeypatch):
     assert call("large", 1.0) == ", less than the 30 s of the first time"
     # what is no wait needs no estimate
     assert call("large", 1.0) == ""
-    (tmp_path / "durations.json").write_text("{")
-    assert call("small", 3.0) == ", compiling, which is kept for the next time"
+    for foreign in (
+        "{",
+        "[]",
+        '{"invert, all orders": null}',
+        '{"invert, all orders": {"compiled": "x", "sizes": {}}}',
+    ):
+        (tmp_path / "durations.json").write_text(foreign)
+        assert call("small", 3.0) == ", compiling, which is kept for the next time"
     with waiting.waiting("", "") as said:
         assert said == ""

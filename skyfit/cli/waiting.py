@@ -24,7 +24,7 @@ def waiting(kind: str, size: str) -> Iterator[str]:
         yield ""
         return
     known, before, began = _read(Path(folder)), _programs(Path(folder)), time.monotonic()
-    yield _words(known[kind], size) if _is_entry(known.get(kind)) else ""
+    yield _words(known[kind] if _is_entry(known.get(kind)) else {}, size)
     took = time.monotonic() - began
     compiled = _programs(Path(folder)) != before
     # another process may have kept some of its own in the meantime
