@@ -3,7 +3,6 @@ import json
 from dataclasses import replace
 from importlib.metadata import version
 
-import jaxtyping
 import numpy as np
 import pytest
 import xarray
@@ -31,11 +30,8 @@ WAVELENGTHS = "420:680:20"
 
 @pytest.fixture(autouse=True)
 def nothing_kept():
-    """A command that was called in this process keeps programs from then on; its context is none of typer's own."""
-    before = jaxtyping.config.jaxtyping_disable
-    jaxtyping.config.update("jaxtyping_disable", True)
+    """A command that was called in this process keeps programs from then on."""
     yield
-    jaxtyping.config.update("jaxtyping_disable", before)
     programs.keep_in(None)
 
 

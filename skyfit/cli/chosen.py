@@ -1,18 +1,17 @@
 """What `--tolerance` means, for every command: the solver that `choose` finds for all skies of a command."""
 
 import numpy as np
-import typer
 
 from ..atmosphere import Atmosphere
 from ..measured import Response, Sky
 from ..scene import Directions, Scene
 from ..transport import Choice
 from .models import tolerance_of
-from .options import refuse
+from .options import Context, refuse
 from .printing import say, warn
 
 
-def allowed_of(context: typer.Context, solver: str, tolerance: str | None, held: tuple[str, ...]) -> float | None:
+def allowed_of(context: Context, solver: str, tolerance: str | None, held: tuple[str, ...]) -> float | None:
     """The error that is allowed, None where none is asked for; refuses the options that the choice decides."""
     if tolerance is None:
         return None

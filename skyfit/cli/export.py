@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .options import check_file, check_folder, command, in_range, PresetName, PresetOption, refuse
+from .options import check_file, check_folder, command, Context, in_range, PresetName, PresetOption, refuse
 
 
 class LanguageName(StrEnum):
@@ -25,7 +25,7 @@ _OF_TABLES = ("preset", "height", "sun_azimuth", "azimuth", "elevation", "field_
 
 @command("export", "skyfit export refit/coefficients.json --to glsl --out sky.glsl")
 def export(
-    context: typer.Context,
+    context: Context,
     sky: Annotated[
         str,
         typer.Argument(
@@ -80,7 +80,7 @@ def export(
     give({"file": str(out), "language": to.value, "lines": lines})
 
 
-def _write_tables(context: typer.Context, sky: str, out: Path, turbidity: float | None, sun_zenith: float | None):
+def _write_tables(context: Context, sky: str, out: Path, turbidity: float | None, sun_zenith: float | None):
     """Hillaire's tables, by the options of the command."""
     import json
     from math import radians

@@ -27,6 +27,7 @@ from .options import (
     AtmosphereOption,
     check_folder,
     command,
+    Context,
     end,
     GeometryName,
     GeometryOption,
@@ -64,7 +65,7 @@ _WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 
 @command("invert", "skyfit invert scan.nc --out fit --prior ozone=310,15")
 def invert_command(
-    context: typer.Context,
+    context: Context,
     sky: Annotated[
         Path, typer.Argument(help="of an instrument, NetCDF, CSV, a folder of ASD text exports, or a picture")
     ],

@@ -6,12 +6,18 @@ from enum import StrEnum
 from functools import wraps
 from inspect import Parameter, signature
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TYPE_CHECKING
 
 import typer
 
 from .known import SOLVER_NAMES
 
+
+if TYPE_CHECKING:
+    Context = typer.Context
+else:
+    # what typer hands over is of the class that its own is made of
+    Context = typer.Context.__base__
 
 app = typer.Typer(
     no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None,
@@ -150,7 +156,7 @@ def end(results: Iterable[str]) -> None:
         raise typer.Exit(3)
 
 
-def refuse(context: typer.Context, options: tuple[str, ...], beside: str) -> None:
+def refuse(context: Context, options: tuple[str, ...], beside: str) -> None:
     """A `ValueError` for an option that was typed where another decides."""
     for held in options:
         source = context.get_parameter_source(held)

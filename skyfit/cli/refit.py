@@ -14,6 +14,7 @@ from .options import (
     AtmosphereOption,
     check_folder,
     command,
+    Context,
     end,
     GeometryName,
     GeometryOption,
@@ -56,7 +57,7 @@ _OUT_FILES = ("coefficients.json", "errors.png", "skies.png")
 
 @command("refit", "skyfit refit --out refit --form extended")
 def refit_command(
-    context: typer.Context,
+    context: Context,
     out: OutFolder,
     form: Annotated[FormName, typer.Option(help="linear in turbidity as published, or T 1-10 and sun to 92")] = (
         FormName.linear

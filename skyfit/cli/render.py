@@ -10,6 +10,7 @@ from .known import SEA_LEVEL_PRESSURE
 from .options import (
     check_file,
     command,
+    Context,
     GeometryName,
     GroundAlbedo,
     in_range,
@@ -58,7 +59,7 @@ class SpaceName(StrEnum):
 
 @command("render", "skyfit render --sun-zenith 85 --turbidity 3 --out dusk.png")
 def render(
-    context: typer.Context,
+    context: Context,
     out: Annotated[Path, typer.Option(help="picture to write: .exr or .hdr, linear, or .png, developed")],
     sun_zenith: SunZenith = None,
     sun_azimuth: SunAzimuth = None,

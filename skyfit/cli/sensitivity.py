@@ -11,6 +11,7 @@ from .options import (
     AtmosphereOption,
     check_file,
     command,
+    Context,
     GeometryName,
     GeometryOption,
     in_range,
@@ -29,7 +30,7 @@ _MOST_NEXT = 100.0
 
 @command("sensitivity", "skyfit sensitivity scan.alm --turbidity 3 --out told.json")
 def sensitivity_command(
-    context: typer.Context,
+    context: Context,
     scan: Annotated[Path, typer.Argument(help="a sky whose sun, views and wavelengths are meant, not its radiance")],
     out: Annotated[Path, typer.Option(help="JSON file to write")],
     turbidity: Annotated[float, typer.Option(help="of the atmosphere, Preetham's")] = 3.0,

@@ -11,6 +11,7 @@ from .options import (
     AngstromExponent,
     AtmosphereOption,
     command,
+    Context,
     GeometryName,
     GeometryOption,
     GroundAlbedo,
@@ -41,7 +42,7 @@ _OF_SIMULATIONS = (
 
 @command("simulate", "skyfit simulate --sun-zenith 60 --turbidity 3 --out sky.nc")
 def simulate(
-    context: typer.Context,
+    context: Context,
     out: Annotated[Path, typer.Option(help="file to write, .nc or .csv")],
     sun_zenith: SunZenith = None,
     sun_azimuth: SunAzimuth = None,
@@ -173,7 +174,7 @@ def simulate(
     })  # fmt: skip
 
 
-def _given_atmosphere(context: typer.Context, path: Path):
+def _given_atmosphere(context: Context, path: Path):
     """The atmosphere of a file; refuses the options that it holds."""
     from .models import atmosphere_of
 
@@ -185,7 +186,7 @@ def _given_atmosphere(context: typer.Context, path: Path):
     return atmosphere_of(path)
 
 
-def _analytic_sky(context: typer.Context, name: str):
+def _analytic_sky(context: Context, name: str):
     """The analytic sky of a name or a file, and the lowest sun that it takes, degrees; refuses what it holds itself."""
     from .models import analytic_of
 
