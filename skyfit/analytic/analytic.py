@@ -1,7 +1,6 @@
 """What every analytic sky answers: luminance and chromaticity by Perez' form times their zenith values."""
 
 from abc import abstractmethod
-from typing import get_args, Literal
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +14,7 @@ from . import pixels
 from .perez import Perez
 
 
-Outside = Literal["kept", "pale", "nan"]
+OUTSIDE = "kept", "pale", "nan"
 
 
 class AbstractAnalyticSky(Ranged):
@@ -103,7 +102,7 @@ class AbstractAnalyticSky(Ranged):
         turbidity: Float[ArrayLike, ""],
         sun: Float[ArrayLike, "3"],
         view: Float[Array, "3 ..."],
-        outside: Outside = "kept",
+        outside: str = "kept",
     ) -> Float[Array, "3 ..."]:
         r"""The sky as linear sRGB in many directions, fast: for images, see `skyfit.scene.fisheye`.
 
@@ -123,8 +122,8 @@ class AbstractAnalyticSky(Ranged):
             raise ValueError(
                 f"`sun` and `view` must have east, north, up as their first axis, got {sun.shape} and {view.shape}"
             )
-        if outside not in get_args(Outside):
-            raise ValueError(f"`outside` must be one of {', '.join(get_args(Outside))}, got {outside!r}")
+        if outside not in OUTSIDE:
+            raise ValueError(f"`outside` must be one of {', '.join(OUTSIDE)}, got {outside!r}")
         _check_scalar(turbidity)
         check_unit_vectors("sun", sun)
         check_unit_vectors("view", view)
