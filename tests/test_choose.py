@@ -109,7 +109,9 @@ def test_polarisation_and_curved_paths_that_are_left_out_leave_no_trace():
     assert less["while"] < polarised["while"] and less["dot_general"] < polarised["dot_general"]
     assert less["sqrt"] < bent["sqrt"] and less["dot_general"] < bent["dot_general"]
     for more in (polarised, bent):
-        assert sum(less.values()) < sum(more.values()) and all(less[name] <= more[name] for name in less)
+        # how functions are cut is no work; on a flat Earth the edges of layers are sorted
+        work = set(less) - {"return", "sort"}
+        assert sum(less.values()) < sum(more.values()) and all(less[name] <= more[name] for name in work)
 
 
 def test_a_dark_scene_needs_no_solver():

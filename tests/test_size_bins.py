@@ -150,19 +150,3 @@ def test_bins_come_back_and_sigma_is_that_of_data_and_prior(x64, haste):
     unit = np.append(fit.values[0, :22], [1.0, fit.values[0, 23]])
     expected = np.sqrt(np.diag(np.linalg.inv(every.T @ every))) * unit
     np.testing.assert_allclose(fit.sigma[0], expected, rtol=0.02)
-
-
-@pytest.mark.slow
-def test_bins_that_two_times_share_are_as_smooth_as_those_of_one(x64, haste):
-    """Twice the same sky: its bins where one sky of noise smaller by the root of two has them."""
-    sky, start = sky_and_start(1)
-    twice = replace(
-        sky.at_times([0, 0]), time=sky.time[0] + np.arange(2) * np.timedelta64(1, "h")
-    )  # fmt: skip
-    free, measurement = SIZE_BINS, replace(OWN_NOISE, loss="squares")
-    settings = {"measurement": measurement, "guess": False}
-    both = skyfit.invert(twice, free, SOLVER, start, shared=free, **settings)
-    one = skyfit.invert(replace(sky, sigma=sky.sigma / np.sqrt(2.0)), free, SOLVER, start, **settings)
-    np.testing.assert_allclose(np.log(both.values[0]), np.log(one.values[0]), atol=0.05)
-    np.testing.assert_array_equal(both.values[0], both.values[1])
-    np.testing.assert_allclose(both.sigma[0] / both.values[0], one.sigma[0] / one.values[0], rtol=0.1)
