@@ -111,9 +111,9 @@ def test_every_command_speaks_to_scripts_and_can_be_quiet(python, tmp_path):
 
 
 def test_a_search_that_did_not_end_is_exit_code_3():
-    end(["successful", "poor_fit"])
+    end([("Y", "successful"), ("x", "poor_fit")])
     with pytest.raises(Exception) as found:
-        end(["successful", "max_steps_reached"])
+        end([("Y", "successful"), ("x", "max_steps_reached")])
     assert found.value.exit_code == 3
 
 

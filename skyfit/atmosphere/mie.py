@@ -11,7 +11,7 @@ from ..numerics import as_float, within
 from .constituent import AbstractConstituent
 from .phase import REFERENCE_WAVELENGTH
 from .profile import AbstractProfile, Exponential, HAZE_SCALE_HEIGHT
-from .sphere_kernels import AbstractSpherePhase, class_weights, KNOWN_NM, OF_TABLE, SphereKernels
+from .sphere_kernels import AbstractSpherePhase, class_weights, KNOWN_N, KNOWN_NM, LARGEST_K, OF_TABLE, SphereKernels
 
 
 class _Modes(eqx.Module):
@@ -106,10 +106,10 @@ class TwoModeAerosol(AbstractConstituent):
     fine_width: Float[Array, ""] = eqx.field(converter=as_float, default=0.38, metadata=within(0.3, 0.9))
     coarse_width: Float[Array, ""] = eqx.field(converter=as_float, default=0.75, metadata=within(0.3, 0.9))
     refractive_index: Float[Array, ""] = eqx.field(
-        converter=as_float, default=1.40, metadata=within(1.33, 1.6, hint=OF_TABLE)
+        converter=as_float, default=1.40, metadata=within(*KNOWN_N, hint=OF_TABLE)
     )
     absorption_index: Float[Array, ""] = eqx.field(
-        converter=as_float, default=0.003, metadata=within(0.0, 0.1, hint=OF_TABLE)
+        converter=as_float, default=0.003, metadata=within(0.0, LARGEST_K, hint=OF_TABLE)
     )
     profile: AbstractProfile = eqx.field(default_factory=lambda: Exponential(HAZE_SCALE_HEIGHT))
     smooth_in_wavelength: ClassVar[bool] = True

@@ -14,15 +14,13 @@ from .constituent import AbstractConstituent
 from .mie import TwoModeAerosol
 from .phase import REFERENCE_WAVELENGTH
 from .profile import AbstractProfile, Exponential, HAZE_SCALE_HEIGHT
-from .sphere_kernels import AbstractSpherePhase, class_weights, KNOWN_NM, OF_TABLE, SphereKernels
+from .sphere_kernels import AbstractSpherePhase, class_weights, KNOWN_N, KNOWN_NM, LARGEST_K, OF_TABLE, SphereKernels
 
 
 # um, where AERONET states size distributions (Dubovik & King 2000, J. Geophys. Res. 105, 20673)
 BIN_RADII = np.geomspace(0.05, 15.0, 22)
 # of the bells: as wide as they are apart, so that equal ones add up to a constant within 1e-8
 _STEP = float(np.log(BIN_RADII[1] / BIN_RADII[0]))
-# the index that the kernels know
-_KNOWN_N, _LARGEST_K = (1.33, 1.6), 0.1
 # um^2/um^2, volume over radius: less is none
 _NO_VOLUME = 1e-12
 # um, of BIN_RADII, between which AERONET parts fine from coarse (Version 3): at the least of dV/dlnr
@@ -44,7 +42,7 @@ class _Sizes(eqx.Module):
         x = jnp.log(wavelength_nm / REFERENCE_WAVELENGTH)
         exponent = (self.absorption_index_curvature * x - self.absorption_index_exponent) * x
         n = self.refractive_index + self.refractive_index_slope * x
-        return jnp.clip(n, *_KNOWN_N), jnp.minimum(self.absorption_index * jnp.exp(exponent), _LARGEST_K)
+        return jnp.clip(n, *KNOWN_N), jnp.minimum(self.absorption_index * jnp.exp(exponent), LARGEST_K)
 
     def classes(self, wavelength_nm) -> Float[Array, "wavelength class"]:
         """Volume in each size class, um^3 over um^2."""
@@ -99,11 +97,11 @@ class BinnedAerosol(AbstractConstituent):
 
     bins: Float[Array, " bin"] = eqx.field(converter=as_float, metadata=within(0.0, 1e3, "um3/um2"))
     refractive_index: Float[Array, ""] = eqx.field(
-        converter=as_float, default=1.40, metadata=within(*_KNOWN_N, hint=OF_TABLE)
+        converter=as_float, default=1.40, metadata=within(*KNOWN_N, hint=OF_TABLE)
     )
     refractive_index_slope: Float[Array, ""] = eqx.field(converter=as_float, default=0.0, metadata=within(-0.3, 0.3))
     absorption_index: Float[Array, ""] = eqx.field(
-        converter=as_float, default=0.003, metadata=within(0.0, _LARGEST_K, hint=OF_TABLE)
+        converter=as_float, default=0.003, metadata=within(0.0, LARGEST_K, hint=OF_TABLE)
     )
     absorption_index_exponent: Float[Array, ""] = eqx.field(converter=as_float, default=0.0, metadata=within(-6.0, 6.0))
     absorption_index_curvature: Float[Array, ""] = eqx.field(

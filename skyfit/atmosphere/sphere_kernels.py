@@ -25,6 +25,8 @@ from .phase import AbstractPhase
 LEAST_WIDTH = 0.25
 # nm, where the table is used
 KNOWN_NM = (300.0, 1100.0)
+# refractive index, and absorption index from 0, of the table
+KNOWN_N, LARGEST_K = (1.33, 1.6), 0.1
 OF_TABLE = "of the table of spheres: soot and iron are beyond it, `Prescribed` takes optics of one's own"
 # micrometres, far beyond what the classes hold
 _RADII = (1e-3, 1e3)

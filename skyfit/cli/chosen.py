@@ -14,6 +14,8 @@ from .printing import say, warn
 def allowed_of(context: Context, solver: str, tolerance: str | None, held: tuple[str, ...]) -> float | None:
     """The error that is allowed, None where none is asked for; refuses the options that the choice decides."""
     if tolerance is None:
+        if solver == "auto":
+            raise ValueError("`--solver auto` must come with `--tolerance`, to which it is chosen")
         return None
     refuse(context, (*held, *("solver",) * (solver != "auto")), "`--tolerance`, which chooses the solver")
     return tolerance_of(tolerance)
@@ -34,15 +36,15 @@ def scenes_of(sky: Sky, atmosphere: Atmosphere, response: Response | None) -> li
     return found
 
 
-def record_of(choice: Choice, allowed: float) -> dict:
+def record_of(choice: Choice) -> dict:
     """What a file keeps of a choice."""
     return {
-        "tolerance": allowed, "expected_error": choice.expected_error, "met": choice.met,
+        "tolerance": choice.tolerance, "expected_error": choice.expected_error, "met": choice.met,
         "reasons": list(choice.reasons),
     }  # fmt: skip
 
 
-def print_choice(choice: Choice, allowed: float) -> None:
+def print_choice(choice: Choice) -> None:
     """Why this solver, and the error to expect of it."""
     for reason in choice.reasons:
         say(f"  {reason}")
@@ -50,4 +52,4 @@ def print_choice(choice: Choice, allowed: float) -> None:
     if choice.met:
         say(expected)
     else:
-        warn(f"{expected}, where {100.0 * allowed:.2g} % was asked for")
+        warn(f"{expected}, where {100.0 * choice.tolerance:.2g} % was asked for")

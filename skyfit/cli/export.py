@@ -6,7 +6,17 @@ from typing import Annotated
 
 import typer
 
-from .options import check_file, check_folder, command, Context, in_range, PresetName, PresetOption, refuse
+from .options import (
+    check_file,
+    check_folder,
+    command,
+    Context,
+    GeometryName,
+    in_range,
+    PresetName,
+    PresetOption,
+    refuse,
+)
 
 
 class LanguageName(StrEnum):
@@ -90,12 +100,13 @@ def _write_tables(context: Context, sky: str, out: Path, turbidity: float | None
     from ..atmosphere import Atmosphere
     from ..image import Camera, write_luts
     from ..transport import Spherical
-    from .models import atmosphere_of
+    from .models import atmosphere_of, make_solver
     from .printing import give, progress, written
 
     check_folder(out)
     told = context.params
-    solver = getattr(Spherical, told["preset"].value)()
+    solver = make_solver("spherical", told["preset"], GeometryName.spherical)
+    assert isinstance(solver, Spherical)
     if sun_zenith is None:
         raise ValueError("`--sun-zenith` must be given with `--to lut`")
     sun = in_range("--sun-zenith", sun_zenith, 0.0, solver.suns.largest_deg)

@@ -136,7 +136,7 @@ def invert_command(
 
     from ..draw import plot
     from ..extras import require
-    from ..measured import NoiseModel
+    from ..measured import NoiseModel, time_names
     from ..programs import keep_in
     from ..records import save, write_products
     from ..retrieve import aerosol_products, invert
@@ -209,30 +209,30 @@ def invert_command(
             models = fit.fitted.models
         assert fit is not None
     out.mkdir(parents=True, exist_ok=True)
-    names = []
+    files = []
     for write, name in ((save, "fit.json"), (save, "fit.nc"), (plot, "fit.png")):
         # the numbers are there without an extra
         try:
             write(fit, out / name)
-            names.append(name)
+            files.append(name)
         except ModuleNotFoundError as error:
             warn(f"no {name}: {error}")
     if products:
         stated = aerosol_products(fit)
         for name in ("aerosol.nc", "aerosol.csv"):
             write_products(stated, out / name)
-            names.append(name)
+            files.append(name)
     if panorama is not None:
-        names += write_pictures(panorama, fit, out)
+        files += write_pictures(panorama, fit, out)
     print_fit(fit)
-    if choice is not None and allowed is not None:
-        print_choice(choice, allowed)
+    if choice is not None:
+        print_choice(choice)
     if panorama is not None:
         for sentence in (told_of_place(panorama, fit, placed), told_of_haze(fit)):
             say(sentence)
-    written(out / name for name in names)
+    written(out / name for name in files)
     give(json.loads((out / "fit.json").read_text(encoding="utf-8")))
-    end(fit.result)
+    end(zip(time_names(fit.sky), fit.result, strict=True))
 
 
 @command("predict", "skyfit predict fit/fit.json --at other.nc --out predicted.nc")

@@ -36,8 +36,6 @@ kept_radiance = kept(_radiance, lambda *_: 0)
 
 def make_solver(name: str, preset: PresetName, geometry: GeometryName, polarised: bool = False) -> AbstractSolver:
     """The solver of some words; only `orders` may be polarised."""
-    if name == "auto":
-        raise ValueError("`--solver auto` must come with `--tolerance`, to which it is chosen")
     if name not in SOLVERS:
         raise ValueError(f"`--solver` must be one of {', '.join(SOLVERS)}, got {name!r}")
     if name == "uniform" and geometry is not GeometryName.flat:

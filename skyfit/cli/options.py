@@ -146,13 +146,16 @@ def check_folder(path: Path) -> None:
         raise ValueError(f"`--out` must be a folder that can be made, got {path}")
 
 
-def end(results: Iterable[str]) -> None:
-    """Ends the program with code 3 where a search did not come to its end, such as at its limit of steps."""
+def end(results: Iterable[tuple[str, str]]) -> None:
+    """Ends the program with code 3 where a search did not come to its end, such as at its limit of steps.
+
+    **Arguments:** what was sought, and how its search ended.
+    """
     from .printing import warn
 
-    ended = [word for word in results if word not in ("successful", "poor_fit")]
+    ended = [f"{what} {word}" for what, word in results if word not in ("successful", "poor_fit")]
     if ended:
-        warn(f"a search did not come to its end: {', '.join(sorted(set(ended)))}")
+        warn(f"a search did not come to its end: {', '.join(ended)}")
         raise typer.Exit(3)
 
 

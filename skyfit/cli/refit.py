@@ -159,11 +159,11 @@ def refit_command(
     plot_refit(result, errors)
     draw_skies(result, skies, form.value)
     print_refit(result)
-    if choice is not None and allowed is not None:
-        print_choice(choice, allowed)
+    if choice is not None:
+        print_choice(choice)
     written([coefficients, errors, skies])
     give(json.loads(coefficients.read_text(encoding="utf-8")))
-    end(result.result.values())
+    end(result.result.items())
 
 
 def _by_depth(air: "Atmosphere", path: Path) -> Callable:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..analytic import Comparison, model_xyz, Refit
 from ..draw import plot_skies
-from .printing import complain, say, show, table
+from .printing import say, show, table
 
 
 # a table of more skies than this is one of suns
@@ -45,9 +45,6 @@ def print_refit(result: Refit) -> None:
     show(total)
     say("* view zenith beyond 80 degrees or sun beyond 85")
     say("best five: Perez' formula fitted to each sky alone, what it can do at all")
-    for quantity, word in result.result.items():
-        if word != "successful":
-            complain(f"the joint fit of {quantity} did not end: {word}")
 
 
 def _table_rows(skies: Comparison):

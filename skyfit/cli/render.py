@@ -158,7 +158,7 @@ def render(
     haze = in_range("--turbidity", 3.0 if turbidity is None else turbidity, 1.0, 50.0)
     asked: dict = {}
     allowed = allowed_of(context, solver, tolerance, ("preset",))
-    if allowed is not None or solver in (*SOLVERS, "auto"):
+    if allowed is not None or solver in SOLVERS:
         # the choice waits for the suns, of which the sphere knows most
         chosen = Spherical.normal()
         if allowed is None:
@@ -222,8 +222,8 @@ def render(
                 frame.path, exposure=exposure, white_balance=white_balance, tone=tone.value, space=space.value,
                 half=half,
             )  # fmt: skip
-    if choice is not None and allowed is not None:
-        print_choice(choice, allowed)
+    if choice is not None:
+        print_choice(choice)
     if until is not None:
         _told_of(todo, out)
     else:
@@ -233,7 +233,7 @@ def render(
     pictures = [
         {"file": str(f.path), "time": f.time, "sun_zenith_deg": f.zenith, "sun_azimuth_deg": f.azimuth} for f in todo
     ]
-    made_by = {} if choice is None or allowed is None else {"choice": record_of(choice, allowed)}
+    made_by = {} if choice is None else {"choice": record_of(choice)}
     give(
         made_by | {"pictures": pictures, "projection": projection.value, "width": camera.width, "height": camera.height}
     )

@@ -93,8 +93,6 @@ def sensitivity_command(
     width = None if np.isnan(sky.fwhm_nm) else sky.fwhm_nm
     scene = Scene.from_degrees(sun[0], Directions(*views), spectrum, sun[1], fwhm_nm=width)
     keep_in(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
-    if solver == "auto":
-        raise ValueError("`--solver auto` chooses to a tolerance, which this command does not take")
     chosen = make_solver(solver, preset, geometry)
     with progress("differentiating", f"sensitivity, {settings_of(chosen)}", sizes(names, scene, air)):
         information = np.asarray(fisher_information(scene, air, names, relative, solver=chosen))

@@ -150,8 +150,8 @@ def simulate(
             made_by = {"coefficients": coefficients, "turbidity": haze}
             if not analytic.valid(haze, scene.sun_zenith):
                 warn("these coefficients extrapolate here")
-    if choice is not None and allowed is not None:
-        made_by["choice"] = record_of(choice, allowed)
+    if choice is not None:
+        made_by["choice"] = record_of(choice)
     about |= {"made_by": {"skyfit_version": skyfit_version(), "model": model, "precision": precision()} | made_by}
     low, high, _ = STATION_RANGES["pressure_pa"]
     if analytic is None and given is None:
@@ -166,8 +166,8 @@ def simulate(
     write_sky(sky, out)
     say(f"{out}: {radiance.shape[0]} directions, {radiance.shape[1]} wavelengths")
     say(f"model: {model}, {precision()}")
-    if choice is not None and allowed is not None:
-        print_choice(choice, allowed)
+    if choice is not None:
+        print_choice(choice)
     give({
         "file": str(out), "directions": radiance.shape[0], "wavelength_nm": spectrum.tolist(),
         "sun_zenith_deg": zenith, "sun_azimuth_deg": azimuth, "made_by": about["made_by"],

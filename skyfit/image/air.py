@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Real
 
 from ..atmosphere import Atmosphere
-from ..light import extraterrestrial_irradiance, observer_weights, SRGB_FROM_XYZ
+from ..light import extraterrestrial_irradiance, linear_from_xyz, xyz
 from ..numerics import as_float, check_range
 from ..scene import Directions, Scene
 from ..transport import AbstractSolver, check_scene, Path, SingleScattering, Spherical
@@ -75,14 +75,14 @@ def air_to(
     check_range("height", height, 0.0, 1e9, "m")
     light = sunlight() if wavelength_nm is None else extraterrestrial_irradiance(np.asarray(wavelength_nm))
     nm = as_float(SPECTRUM if wavelength_nm is None else wavelength_nm)
-    # with numbers, which are traced later on
-    straight_up = Directions(as_float([0.0]), as_float([0.0]))
-    check_scene(solver, atmosphere, Scene(sun_zenith, sun_azimuth, straight_up, nm, light, height))
     east, north, up = camera.views().reshape(3, -1).astype(float)
     zenith, azimuth = np.arctan2(np.hypot(east, north), up), np.arctan2(east, north)
 
     def scene(view: Directions) -> Scene:
         return Scene(sun_zenith, sun_azimuth, view, nm, light, height)
+
+    # with numbers: what is asked for in pieces is traced
+    check_scene(solver, atmosphere, scene(Directions(as_float(zenith[:1]), as_float(azimuth[:1]))))
 
     if isinstance(solver, Spherical):
         field = solver.prepare(atmosphere, nm, sun_zenith=sun_zenith, height=height)
@@ -123,11 +123,8 @@ def along(
 
 def coloured(path: Path) -> Path:
     """Linear sRGB of a path at the wavelengths of `SPECTRUM`, as `air_to` has it."""
-    weights = as_float(observer_weights(SPECTRUM) @ SRGB_FROM_XYZ.T)
     light = as_float(sunlight())
-
-    def rgb(spectra):
-        return jnp.matmul(spectra, weights, precision="highest")
-
-    passed = rgb(path.transmittance * light[None]) / rgb(light)[None]
-    return Path(jnp.clip(passed, 0.0, 1.0), rgb(path.inscatter))
+    left, whole, added = (
+        linear_from_xyz(xyz(spectra, SPECTRUM)) for spectra in (path.transmittance * light[None], light, path.inscatter)
+    )
+    return Path(jnp.clip(left / whole[None], 0.0, 1.0), added)

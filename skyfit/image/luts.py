@@ -68,15 +68,18 @@ def luts(
     check_range("height", height, 0.0, 0.999 * TOP_OF_AIR, "m")
     if camera.projection != "perspective":
         raise ValueError(f"`camera` must be a perspective one, whose frustum is cut, got {camera.projection!r}")
-    straight_up = Directions(as_float([0.0]), as_float([0.0]))
-    check_scene(solver, atmosphere, Scene(sun_zenith, sun_azimuth, straight_up, SPECTRUM, sunlight(), height))
-    # for the table of all suns and heights
-    field = solver.prepare(atmosphere, SPECTRUM)
+
+    def scene(views: Directions) -> Scene:
+        return Scene(sun_zenith, sun_azimuth, views, SPECTRUM, sunlight(), height)
 
     def path(views: Directions, distance, _) -> Path:
-        return field.path(Scene(sun_zenith, sun_azimuth, views, SPECTRUM, sunlight(), height), distance)
+        return field.path(scene(views), distance)
 
     zenith, turn = _sky_view_views(height)
+    # with numbers: what is asked for in pieces is traced
+    check_scene(solver, atmosphere, scene(Directions(as_float(zenith[:1]), as_float(turn[:1]))))
+    # for the table of all suns and heights
+    field = solver.prepare(atmosphere, SPECTRUM)
     sky = coloured(along(path, zenith, sun_azimuth + turn, np.full(zenith.size, np.inf)))
     east, north, up = _frustum(camera).reshape(3, -1)
     far = _SLICE * VOLUME[2] * (np.arange(1, VOLUME[2] + 1) / VOLUME[2]) ** 2

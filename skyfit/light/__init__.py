@@ -1,4 +1,5 @@
 from .colour import (
+    linear_from_xyz as linear_from_xyz,
     LUMINOUS_EFFICACY as LUMINOUS_EFFICACY,
     observer_weights as observer_weights,
     SMALLEST_Y as SMALLEST_Y,

@@ -133,8 +133,13 @@ def srgb_from_xyz(tristimulus: Float[Array, "... 3"], exposure: Float[ArrayLike,
     **Valid:** everywhere; a negative component stays on the straight part of the curve.
     **Source:** IEC 61966-2-1:1999.
     """
+    return srgb_from_linear(exposure * linear_from_xyz(tristimulus))
+
+
+def linear_from_xyz(tristimulus: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+    """Red, green, blue of tristimulus values, in their unit, not clipped. **Source:** IEC 61966-2-1:1999."""
     matrix = jnp.asarray(SRGB_FROM_XYZ, dtype=tristimulus.dtype)
-    return srgb_from_linear(exposure * jnp.einsum("...w,cw->...c", tristimulus, matrix, precision="highest"))
+    return jnp.einsum("...w,cw->...c", tristimulus, matrix, precision="highest")
 
 
 def srgb_from_linear(linear: Float[Array | np.ndarray, "..."]) -> Float[Array, "..."]:

@@ -11,7 +11,7 @@ from .response import LineShape, Response, Seen
 
 
 # of each time and wavelength, and of each sample besides, where a sky has them
-_BEAM = "direct_irradiance", "direct_sigma", "aerosol_optical_depth", "aerosol_optical_depth_sigma"
+BEAM = "direct_irradiance", "direct_sigma", "aerosol_optical_depth", "aerosol_optical_depth_sigma"
 # of each sample besides
 DEGREE = "degree_of_polarisation", "degree_of_polarisation_sigma"
 _MOVING_VIEWS = "view_zenith_by_wavelength", "view_azimuth_by_wavelength"
@@ -114,7 +114,7 @@ class Sky:
     source: str = ""
 
     def __post_init__(self):
-        optional = ("sigma", *_BEAM, *DEGREE, *_MOVING_VIEWS)
+        optional = ("sigma", *BEAM, *DEGREE, *_MOVING_VIEWS)
         angles = ("view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth")
         for name in ("radiance", "wavelength_nm", *angles, *optional):
             value = getattr(self, name)
@@ -236,7 +236,7 @@ class Sky:
         """Some of the times, in the order of `indices`; `masked` as `at` says."""
         part = np.asarray(indices, int)
         along = ("radiance", "sigma", "usable", "view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth", "time")
-        along += (*_BEAM, *DEGREE, *_MOVING_VIEWS)
+        along += (*BEAM, *DEGREE, *_MOVING_VIEWS)
         held = {name: getattr(self, name) for name in along}
         parts = {name: None if value is None else value[part] for name, value in held.items()}
         usable = self.usable[part]
@@ -306,7 +306,7 @@ class Sky:
             reason=None,
             **{
                 name: None if values is None else interpolate(values, turns="azimuth" in name)
-                for name in (*_BEAM, *DEGREE, *_MOVING_VIEWS)
+                for name in (*BEAM, *DEGREE, *_MOVING_VIEWS)
                 for values in (getattr(self, name),)
             },
         )
@@ -321,7 +321,7 @@ class Sky:
             )
         parts = {
             name: value if value is None else value[..., places]
-            for name in ("radiance", "sigma", "usable", "wavelength_nm", *_BEAM, *DEGREE)
+            for name in ("radiance", "sigma", "usable", "wavelength_nm", *BEAM, *DEGREE)
             for value in (getattr(self, name),)
         }
         if self.sun_zenith.ndim > 1:

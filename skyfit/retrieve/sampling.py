@@ -142,7 +142,7 @@ class Sampling:
         good &= np.isfinite(sigma) & (sigma > 0.0)
         if not good.any():
             return None
-        return np.where(good, values, 0.0), np.where(good, 1.0 / np.where(good, sigma, 1.0), 0.0)
+        return _weighed(good, values, sigma)
 
     def _degree(self, times, directions, chosen, mask):
         """Degrees of polarisation in one row a time and one over their sigma; None where there are none."""
@@ -152,8 +152,8 @@ class Sampling:
         sigma = np.full(degree.shape, _DEGREE_NOISE) if sigma is None else sigma
         degree, sigma = (values[times, directions][..., chosen] for values in (degree, sigma))
         good = mask & np.isfinite(degree) & np.isfinite(sigma) & (sigma > 0.0)
-        pair = np.where(good, degree, 0.0), np.where(good, 1.0 / np.where(good, sigma, 1.0), 0.0)
-        return tuple(values.reshape(len(values), -1) for values in pair) if good.any() else None
+        rows = (values.reshape(len(values), -1) for values in (good, degree, sigma))
+        return _weighed(*rows) if good.any() else None
 
     def _arrays(self, times, channels) -> dict:
         """Suns and spectra of some times, at some of the sky's wavelengths, or for some channels of its response."""
@@ -194,6 +194,11 @@ class Sampling:
         result[:, places] = np.asarray(_read(solver, model, problem.at(0)))
         result[np.isnan(sky.view_zenith[time])] = np.nan
         return result
+
+
+def _weighed(good, values, sigma) -> tuple[np.ndarray, np.ndarray]:
+    """Values and one over their sigma, 0 where they are not good."""
+    return np.where(good, values, 0.0), np.where(good, 1.0 / np.where(good, sigma, 1.0), 0.0)
 
 
 def _reading(solver, model, one: Problem):

@@ -62,7 +62,8 @@ class Choice(NamedTuple):
 
     `expected_error`, relative, safe for 98 % of scenes; `seconds` on two cores at 2.5 GHz in float32, compiled, by
     counted work (`work.seconds`); `reasons`, in words; `met`, whether the error is within the tolerance: where nothing
-    is, the nearest is chosen; `known`, whether the scene is one of those that the error model was fitted to.
+    is, the nearest is chosen; `known`, whether the scene is one of those that the error model was fitted to;
+    `tolerance`, what was asked for.
     """
 
     solver: AbstractSolver
@@ -72,6 +73,7 @@ class Choice(NamedTuple):
     reasons: tuple[str, ...]
     met: bool
     known: bool
+    tolerance: float
 
 
 class _Candidate(NamedTuple):
@@ -96,7 +98,7 @@ def choose(atmosphere: Atmosphere, scene: Scene, tolerance: float, *, of: Of = "
     """
     judged = _judge(atmosphere, scene, tolerance, of)
     if judged is None:
-        return _dark(atmosphere, scene)
+        return _dark(atmosphere, scene, tolerance)
     place, met = _cheapest([candidate.seconds for candidate in judged.candidates], judged.off, tolerance)
     chosen = judged.candidates[place]
     left_out = _without(atmosphere, chosen, judged.errors, tolerance)
@@ -113,7 +115,7 @@ def choose_for_all(skies: Sequence[tuple[Atmosphere, Scene]], tolerance: float, 
     found = [_judge(atmosphere, scene, tolerance, of) for atmosphere, scene in skies]
     judged = [each for each in found if each is not None]
     if not judged:
-        return _dark(*skies[0])
+        return _dark(*skies[0], tolerance)
     tables = [{_settings(c.solver): i for i, c in enumerate(each.candidates)} for each in judged]
     common = [settings for settings in tables[0] if all(settings in table for table in tables)]
     # places of the candidates that all have, by sky
@@ -156,10 +158,11 @@ def _judge(atmosphere: Atmosphere, scene: Scene, tolerance: float, of: Of) -> _J
     return _Judged(atmosphere, scene, sun, errors, candidates, off)
 
 
-def _dark(atmosphere: Atmosphere, scene: Scene) -> Choice:
+def _dark(atmosphere: Atmosphere, scene: Scene, tolerance: float) -> Choice:
     solver = SingleScattering.draft()
     why = "no view meets the sky" if scatterer_indices(atmosphere.constituents) else "nothing scatters"
-    return Choice(solver, atmosphere, 0.0, seconds(solver, atmosphere, scene), (f"{why}: all is dark",), True, True)
+    time = seconds(solver, atmosphere, scene)
+    return Choice(solver, atmosphere, 0.0, time, (f"{why}: all is dark",), True, True, tolerance)
 
 
 def _cheapest(time: list[float], off: list[float], tolerance: float) -> tuple[int, bool]:
@@ -193,7 +196,7 @@ def _told(
         reasons.append(f"no solver stays under {_percent(tolerance)}: the nearest may be {_percent(expected)} off")
     air = judged.atmosphere if kept is None else kept
     time = seconds(chosen.solver, air, scene)
-    return Choice(chosen.solver, air, expected, time, tuple(reasons), met, not unknown)
+    return Choice(chosen.solver, air, expected, time, tuple(reasons), met, not unknown, tolerance)
 
 
 def check_numbers(name: str, given) -> None:

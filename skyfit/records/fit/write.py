@@ -12,6 +12,7 @@ import numpy as np
 from ...atmosphere import describe
 from ...extras import require
 from ...measured import atomic, Sky, STATION_RANGES, write_sky
+from ...measured.samples import BEAM, DEGREE
 from ...measured.units import RADIANCE
 from ...measured.writers import axes, degrees, write_netcdf
 from ...measured.writing import skyfit_version
@@ -213,11 +214,7 @@ def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) ->
     seen = seen if seen.ndim == 3 else seen[..., None]
     usable = np.isfinite(radiance) & seen & ((radiance >= 0.0) | (sky.response is not None))
     notes = (f"predicted by skyfit for the samples of {sky.source}",)
-    measured = (
-        "direct_irradiance", "direct_sigma", "aerosol_optical_depth", "aerosol_optical_depth_sigma",
-        "degree_of_polarisation", "degree_of_polarisation_sigma",
-    )  # fmt: skip
-    predicted = {"radiance": radiance, "sigma": None, "usable": usable, **dict.fromkeys(measured)}
+    predicted = {"radiance": radiance, "sigma": None, "usable": usable, **dict.fromkeys((*BEAM, *DEGREE))}
     write_sky(replace(sky, **predicted, masked={}, notes=notes, instrument=""), path)
 
 
