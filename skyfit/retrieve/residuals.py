@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from ..measured.noise import Loss
 from ..numerics.chain import Point, reduced, Rows
+from ..numerics.least_squares import LOGISTIC_LIMIT
 from ..transport import AbstractSolver
 from .components import Expected
 from .forward import observe, Problem
@@ -106,6 +107,12 @@ def bound(names: tuple[str, ...], free: Float[Array, " parameter"]) -> Float[Arr
     return jnp.stack([PARAMETERS[n].bound(free[i]) for i, n in enumerate(names)])
 
 
+def values_at(choices: Choices, point: Point) -> Float[Array, "time parameter"]:
+    """Values of each time, in the parameters' stated units, in the order own, shared."""
+    shared = jnp.broadcast_to(point.shared[: len(choices.shared)], (point.own.shape[0], len(choices.shared)))
+    return jax.vmap(lambda free: bound(choices.names, free))(jnp.concatenate([point.own, shared], axis=1))
+
+
 def on_scale(names: tuple[str, ...], free: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
     return jnp.stack([PARAMETERS[n].on_scale(free[i]) for i, n in enumerate(names)])
 
@@ -138,6 +145,14 @@ def trusted(choices: Choices, threshold, one: Problem, known: Known, calibration
 def beside_residual(one: Problem, known: Known) -> Float[Array, " other"] | None:
     """Model minus measurement of what is measured besides the radiance, or None."""
     return None if one.beside is None or known.beside is None else known.beside - one.beside
+
+
+def box(choices: Choices, point: Point) -> Point:
+    """How far from 0 each unknown of a point may be: the channels' scales any distance."""
+    scales = point.shared.size - len(choices.shared)
+    shared = jnp.concatenate([jnp.full(len(choices.shared), LOGISTIC_LIMIT), jnp.full(scales, jnp.inf)])
+    own = jnp.full_like(point.own, LOGISTIC_LIMIT)
+    return Point(own, shared.astype(own.dtype))
 
 
 def calibration_of(choices: Choices, point: Point, channels: int) -> Float[Array, " channel"]:

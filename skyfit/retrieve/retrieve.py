@@ -9,13 +9,25 @@ import optimistix as optx
 
 from ..measured.noise import Loss
 from ..numerics.chain import minimise, Point
-from ..numerics.least_squares import LOGISTIC_LIMIT
 from ..transport import AbstractSolver
 from .components import Expected, KINDS
 from .forward import Problem
+from .implicit import Given, settled
 from .model import SkyModel
 from .parameters import PARAMETERS, partition, POINTING
-from .residuals import calibration_of, Choices, cost, Known, Numbers, objective, Priors, trusted, Weighing
+from .residuals import (
+    box,
+    calibration_of,
+    Choices,
+    cost,
+    Known,
+    Numbers,
+    objective,
+    Priors,
+    trusted,
+    values_at,
+    Weighing,
+)
 from .uncertainty import described, End, Estimate, weighing_at
 
 
@@ -52,9 +64,10 @@ def retrieve(
     of the errors in common (default: there are none), which widen the covariance; `level`, the relative size of an
     error that a whole time shares. Numbers may be traced, names and solvers are static.
     **Returns:** an `Estimate`, parameters in the order of `free`. Nothing is raised: `result` and `finite` tell.
-    **Valid:** the search's cost is linear in the number of times, that of the covariance quadratic. The derivative by
-    the samples and by what is fixed is that of Gauss-Newton: exact where the residuals vanish, off by their share
-    otherwise; `gain` is the one by the samples.
+    **Valid:** the search's cost is linear in the number of times, that of the covariance quadratic. Of `values` and
+    `calibration` there are derivatives by all numbers that go in (`implicit.settled`): exact at the least cost, with
+    the weights of the samples held; those of all else are 0. They take the memory and the time of one radiance and
+    its derivatives for each parameter, and a matrix of all unknowns of all times. `gain` is that of Gauss-Newton.
     """
     free = tuple(free)
     choices = Choices(
@@ -79,8 +92,14 @@ def retrieve(
     )
     _, fixed = partition(model, free)
     slopes = None if slopes == solver else slopes
-    end = search(choices, numbers, (solver, slopes), fixed, problem, priors, start)
-    found = described(choices, numbers, problem, priors, end)
+    # the search is not differentiated, but the end that it finds
+    still = jax.lax.stop_gradient((numbers, fixed, problem, priors, start))
+    end = search(choices, still[0], (solver, slopes), *still[1:])
+    found = described(choices, still[0], *still[2:4], end)
+    point = settled(choices, solver, end.point, Given(fixed, problem, priors, end.weighing, numbers.threshold))
+    found = found._replace(
+        values=values_at(choices, point), calibration=calibration_of(choices, point, problem.measured.shape[2])
+    )
     order = np.array([choices.names.index(n) for n in free])
     return found._replace(
         values=found.values[:, order],
@@ -116,8 +135,6 @@ def search(
     channels = problem.measured.shape[2]
     none = channels if choices.calibrated else 0
     dtype = problem.measured.dtype
-    box = jnp.concatenate([jnp.full(len(choices.shared), LOGISTIC_LIMIT), jnp.full(none, jnp.inf)])
-    limit = Point(jnp.full(starts.own.shape[1:], LOGISTIC_LIMIT, dtype), box.astype(dtype))
     rows = objective(choices, *solvers)
 
     def left(end: End):
@@ -148,6 +165,7 @@ def search(
 
     begins = Point(starts.own, jnp.concatenate([starts.shared, jnp.zeros((starts.own.shape[0], none), dtype)], axis=1))
     first = jax.tree.map(lambda v: v[0], begins)
+    limit = box(choices, first)
     times, directions, _ = problem.measured.shape
     samples = directions * channels + (0 if problem.beside is None else problem.beside.shape[1])
     nothing = Known(

@@ -17,7 +17,6 @@ from .model_error import model_errors
 from .parameters import PARAMETERS
 from .residuals import (
     beside_residual,
-    bound,
     calibration_of,
     Choices,
     columns_of,
@@ -27,6 +26,7 @@ from .residuals import (
     Priors,
     reduced_rows,
     trusted,
+    values_at,
     Weighing,
     weight_of,
     with_scales,
@@ -270,8 +270,7 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     end, known = found.point, found.known
     names, count, own_count = choices.names, len(choices.names), len(choices.own)
     times, directions, channels = problem.measured.shape
-    shared = jnp.broadcast_to(end.shared[None, : len(choices.shared)], (times, len(choices.shared)))
-    values = jax.vmap(lambda free: bound(names, free))(jnp.concatenate([end.own, shared], axis=1))
+    values = values_at(choices, end)
     calibration = calibration_of(choices, end, channels)
     sizes = components_at(choices, numbers, problem, priors, found)
     white = whitening_at(problem, known, sizes)
