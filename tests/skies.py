@@ -1,7 +1,7 @@
 """Skies and solvers that the tests of the solver floor share."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import equinox as eqx
 import jax
@@ -125,6 +125,33 @@ def sky_of(solver, view, wavelength=COLOURS):
         return solver.radiance(atmosphere, skyfit.Scene(sun, 0.3, view, wavelength, jnp.ones(len(wavelength))))
 
     return sky
+
+
+def weights_of(values):
+    """One of each number, none alike: what reverse mode sums is told apart."""
+    return np.cos(np.arange(values.size)).reshape(values.shape)
+
+
+def slopes_of(field, count):
+    """Of a function of `count` numbers near 0, in two programs.
+
+    Values 1e-5 ahead and behind of each number `[side, number, ...]`, forward-mode slopes `[number, ...]`, and
+    reverse-mode slopes of the values' sum by `weights_of` them `[number]`.
+    """
+    unit, nothing = jnp.eye(count), jnp.zeros((count, count))
+
+    @partial(jax.jit, compiler_options=HASTE)
+    def along(points, directions):
+        return jax.lax.map(lambda item: jax.jvp(field, item[:1], item[1:]), (points, directions))
+
+    points = jnp.concatenate([1e-5 * unit, -1e-5 * unit, nothing])
+    values, slopes = map(np.asarray, along(points, jnp.concatenate([unit] * 3)))
+
+    @partial(jax.jit, compiler_options=HASTE)
+    def back(point):
+        return jax.grad(lambda p: jnp.sum(weights_of(values[0]) * field(p)))(point)
+
+    return np.stack([values[:count], values[count : 2 * count]]), slopes[2 * count :], np.asarray(back(nothing[0]))
 
 
 SKIES = {}

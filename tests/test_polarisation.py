@@ -8,7 +8,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from foreign_skies import directions, sasktran2_stokes, Truth, WAVELENGTH_NM
-from skies import HASTE, haze_over_air, hazy, names_of, ONE, phase_functions, slow, SMALL, unit_scene, views
+from skies import (
+    HASTE,
+    haze_over_air,
+    hazy,
+    names_of,
+    ONE,
+    phase_functions,
+    slopes_of,
+    slow,
+    SMALL,
+    unit_scene,
+    views,
+    weights_of,
+)
 from vector_skies import (
     air_once,
     ALBEDOS,
@@ -89,7 +102,7 @@ def test_the_tables_have_the_signs_that_are_stated(shared):
         assert np.all(off(once[..., None], table[..., None]) < [0.07, 0.04, 0.04]), sun
 
 
-@pytest.mark.parametrize("sun, albedo", [(0.6, 0.25), slow(0.1, 0.0), slow(0.2, 0.8), slow(0.92, 0.8), slow(1.0, 0.0)])
+@pytest.mark.parametrize("sun, albedo", [(0.6, 0.25), slow(0.1, 0.0), slow(0.92, 0.8)])
 def test_sasktran2_has_the_tables(x64, shared, sun, albedo):
     """Default: at fewer streams, and where it is coarsest."""
     pytest.importorskip("sasktran2", reason="sasktran2 is absent")
@@ -137,26 +150,32 @@ def test_air_has_the_tables(x64, shared, preset, limit):
         assert np.all(errors < [limit, 5e-3, 5e-3]), (albedo, sun, errors)
 
 
-@pytest.mark.parametrize("preset, limits", [("normal", (3e-3, 5e-3, 5e-3)), slow("fine", (1e-3, 1e-3, 1e-3))])
+LIMITS = {"normal": (3e-3, 5e-3, 5e-3), "fine": (1e-3, 1e-3, 1e-3)}
+
+
 @pytest.mark.parametrize(
-    "truth",
+    "truth, presets",
     [
-        Truth(),
-        slow(Truth(70.0, 0.6, 2.0, 0.8, 0.75, 0.05)),
-        slow(Truth(30.0, 0.1, 0.5, 0.98, 0.6, 0.5, polarisation=0.0)),
-        slow(Truth(60.0, 0.4, 1.0, 0.9, 0.7, 0.3, asymmetry_second=-0.1, forward_fraction=0.85, polarisation=0.8)),
+        (Truth(), ["normal"]),
+        slow(Truth(), ["fine"]),
+        slow(Truth(70.0, 0.6, 2.0, 0.8, 0.75, 0.05), LIMITS),
+        slow(Truth(30.0, 0.1, 0.5, 0.98, 0.6, 0.5, polarisation=0.0), LIMITS),
+        slow(
+            Truth(60.0, 0.4, 1.0, 0.9, 0.7, 0.3, asymmetry_second=-0.1, forward_fraction=0.85, polarisation=0.8), LIMITS
+        ),
     ],
 )
-def test_haze_has_the_stokes_vectors_of_sasktran2(x64, preset, limits, truth):
+def test_haze_has_the_stokes_vectors_of_sasktran2(x64, truth, presets):
     """Q and U of `normal` within the half per cent of the radiance that it has against the tables of air."""
     pytest.importorskip("sasktran2", reason="sasktran2 is absent")
     zenith, azimuth = directions(truth.sun_zenith_deg)
-    # the default haze needs few streams, and few wavelengths do
-    streams, colours = (16, WAVELENGTH_NM[::3]) if truth == Truth() else (24, WAVELENGTH_NM)
-    sky = truth.atmosphere(), truth.sun_zenith_deg, zenith, azimuth, colours
+    # the default haze needs few streams
+    streams = 16 if truth == Truth() else 24
+    sky = truth.atmosphere(), truth.sun_zenith_deg, zenith, azimuth, WAVELENGTH_NM[::3]
     # within 2e-4 of 32 streams and 240 layers
     expected = sasktran2_stokes(*sky, polarised=True, streams=streams)
-    assert np.all(off(stokes_of(solver_of(preset), *sky), expected) < limits)
+    for preset in presets:
+        assert np.all(off(stokes_of(solver_of(preset), *sky), expected) < LIMITS[preset]), preset
 
 
 @pytest.mark.parametrize("geometry", GEOMETRIES)
@@ -308,11 +327,10 @@ def stokes_field(solver, view, wavelength):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("geometry", GEOMETRIES)
-def test_gradients_are_central_differences(x64, geometry):
-    """Every leaf of the atmosphere and the sun's zenith angle, forward and reverse."""
+def test_gradients_are_central_differences(x64):
+    """On a sphere; every leaf of the atmosphere and the sun's zenith angle, forward and reverse."""
     view = skyfit.Directions(np.radians([5.0, 50.0, 80.0]), np.array([0.5, 1.5, 3.0]))
-    field_of = stokes_field(FEW[geometry], view, TWO)
+    field_of = stokes_field(FEW["spherical"], view, TWO)
     start = hazy(), jnp.asarray(1.0)
     leaves, tree = jax.tree.flatten(start)
     flat = jnp.stack(leaves)
@@ -321,18 +339,13 @@ def test_gradients_are_central_differences(x64, geometry):
     def field(relative):
         return field_of(*jax.tree.unflatten(tree, list(flat + relative * scale)))
 
-    step = 1e-5 * jnp.eye(len(leaves))
-    around = jax.jit(lambda s: jax.lax.map(field, s), compiler_options=HASTE)(jnp.concatenate([step, -step]))
-    central = (around[: len(leaves)] - around[len(leaves) :]) / 2e-5
-    zero = jnp.zeros(len(leaves))
-    forward = jnp.moveaxis(jax.jit(jax.jacfwd(field), compiler_options=HASTE)(zero), -1, 0)
-    largest = float(jnp.max(jnp.abs(around)))
-    weight = jnp.cos(jnp.arange(central[0].size)).reshape(central[0].shape)
-    backward = jax.jit(jax.grad(lambda r: jnp.sum(weight * field(r))), compiler_options=HASTE)(zero)
+    around, forward, backward = slopes_of(field, len(leaves))
+    central = (around[0] - around[1]) / 2e-5
+    largest = float(np.max(np.abs(around)))
     for i, leaf in enumerate(names_of(start)):
         np.testing.assert_allclose(forward[i], central[i], atol=1e-5 * largest, err_msg=leaf)
-        expected = float(jnp.sum(weight * forward[i]))
-        assert float(backward[i]) == pytest.approx(expected, abs=1e-9 * largest * weight.size), leaf
+        expected = float(np.sum(weights_of(forward[i]) * forward[i]))
+        assert float(backward[i]) == pytest.approx(expected, abs=1e-9 * largest * forward[i].size), leaf
     moved = {leaf for leaf, slope in zip(names_of(start), forward, strict=True) if np.any(np.abs(slope[1:]) > 1e-7)}
     assert any("polarisation" in leaf for leaf in moved) and any("depolarization" in leaf for leaf in moved)
 
