@@ -28,6 +28,7 @@ from .orders.layering import Resolution, scaled_optics
 from .orders.solver import streamed_light
 from .orders.spectrum import spectral_nodes, SpectralNodes
 from .orders.streams import diffuse_field
+from .views import in_pieces
 
 
 class DoubleScattering(AbstractSolver):
@@ -95,7 +96,10 @@ class DoubleScattering(AbstractSolver):
 
     @eqx.filter_jit
     def _light(self, atmosphere: Atmosphere, scene: Scene, few: SpectralNodes | None):
-        return streamed_light(_over_black(atmosphere), scene, self._resolution(1), self.nodes, few)[0]
+        def light(scene):
+            return streamed_light(_over_black(atmosphere), scene, self._resolution(1), self.nodes, few)[0]
+
+        return in_pieces(light, scene)
 
     @checked
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:

@@ -25,6 +25,7 @@ from .contract import (
 )
 from .dome import fluxes_by_quadrature
 from .optics import optics, scatterer_indices
+from .views import in_pieces
 
 
 # m^-1: a constituent that is absent at the ground gets a layer of 1000 km, not of infinite thickness
@@ -262,7 +263,7 @@ class Shells(AbstractSolver):
     @checked
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Sky radiance of the layers, W m^-2 sr^-1 nm^-1; the observer on the ground."""
-        return _radiance(self, atmosphere, scene)
+        return in_pieces(lambda scene: _radiance(self, atmosphere, scene), scene)
 
     @checked
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:

@@ -28,7 +28,7 @@ from .contract import (
 )
 from .dome import fluxes_by_quadrature
 from .optics import Optics, optics, scatterer_indices, transmitted_sun
-from .views import end_points, eye_columns, lit_points, Views, views_of
+from .views import end_points, eye_columns, in_pieces, lit_points, Views, views_of
 
 
 def single_scattering(
@@ -253,7 +253,8 @@ def _light(solver: SingleScattering, atmosphere: Atmosphere, scene: Scene, stoke
     constituents = atmosphere.constituents
     if not scatterer_indices(constituents):
         return jnp.zeros((3 if stokes else 1, scene.view.zenith.shape[0], scene.wavelength_nm.shape[0]))
-    once = single_scattering(
-        constituents, scene, optics(constituents, scene.wavelength_nm), solver.nodes, solver.geometry, stokes
+    optical = optics(constituents, scene.wavelength_nm)
+    once = in_pieces(
+        lambda scene: single_scattering(constituents, scene, optical, solver.nodes, solver.geometry, stokes), scene
     )
     return once * scene.solar_irradiance[None, None]

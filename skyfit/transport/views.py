@@ -1,8 +1,10 @@
 """Where views run through the air: the lit parts of each, quadrature points on them, columns from the eye."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -26,6 +28,8 @@ from .contract import Geometry
 _SPREAD = 2.0
 # m; no air is left there
 _FAR = 1e8
+# directions times wavelengths that a solver takes at once: some 2 kB each while it computes
+_AT_ONCE = 1 << 19
 
 
 class Views(NamedTuple):
@@ -51,6 +55,30 @@ class Points(NamedTuple):
     height: Float[Array, "direction node"]
     view_cosine: Float[Array, "direction node"]
     sun_cosine: Float[Array, "direction node"]
+
+
+def in_pieces(
+    light: Callable[[Scene], Float[Array, "*component direction wavelength"]], scene: Scene
+) -> Float[Array, "*component direction wavelength"]:
+    """The light of a scene's directions, which are handed over in equal pieces where they are too many for memory.
+
+    What `light` computes for all directions alike is computed for each piece anew. Gradients keep one piece at a time.
+    """
+    count = scene.view.zenith.shape[0]
+    number = -(-count * scene.wavelength_nm.shape[0] // _AT_ONCE)
+    if number <= 1:
+        return light(scene)
+    size = -(-count // number)
+
+    def pieces(values):
+        return jnp.pad(values, (0, number * size - count), mode="edge").reshape(number, size)
+
+    @jax.checkpoint
+    def one(view):
+        return light(eqx.tree_at(lambda s: s.view, scene, view))
+
+    found = jnp.moveaxis(jax.lax.map(one, jax.tree.map(pieces, scene.view)), 0, -3)
+    return found.reshape(*found.shape[:-3], number * size, found.shape[-1])[..., :count, :]
 
 
 def views_of(scene: Scene, geometry: Geometry, distance: Float[Array, " direction"] | None = None) -> Views:

@@ -28,6 +28,7 @@ from ..contract import (
 )
 from ..optics import optics, scatterer_indices, transmitted_sun
 from ..single import single_scattering
+from ..views import in_pieces
 from .aureole import aureole_excess
 from .layering import peaked, Resolution, scaled_optics
 from .reconstruct import bare_ground, multiple_scattering
@@ -169,7 +170,10 @@ class OrdersOfScattering(AbstractSolver):
 
     @eqx.filter_jit
     def _light(self, atmosphere: Atmosphere, scene: Scene, few: SpectralNodes | None, stokes: bool):
-        return streamed_light(atmosphere, scene, self._resolution(), self.nodes, few, stokes)
+        def light(scene):
+            return streamed_light(atmosphere, scene, self._resolution(), self.nodes, few, stokes)
+
+        return in_pieces(light, scene)
 
     @checked
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:

@@ -15,7 +15,7 @@ from ..columns import EARTH_RADIUS, length_scale
 from ..contract import check_eye, Irradiances, Path
 from ..optics import optics, scatterer_indices, transmitted_sun
 from ..single import single_scattering_of
-from ..views import end_points, eye_columns, Points, points_at, Views, views_of
+from ..views import end_points, eye_columns, in_pieces, Points, points_at, Views, views_of
 from . import harmonics as sun_harmonics
 from .first import sun_on_ground
 from .grid import CLIMB, dusk, height_coordinate, Resolution, sun_coordinate, sun_weights
@@ -131,7 +131,7 @@ class SphericalField(eqx.Module):
 
     @eqx.filter_jit
     def _radiance(self, scene: Scene):
-        return self.light(scene) * scene.solar_irradiance[None]
+        return in_pieces(self.light, scene) * scene.solar_irradiance[None]
 
     def light(self, scene: Scene) -> Float[Array, "direction wavelength"]:
         """`radiance` per unit solar irradiance, sr^-1."""
