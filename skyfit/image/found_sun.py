@@ -74,8 +74,8 @@ def find_sun(sight: Sight, near: tuple[float, float] | None = None) -> FoundSun:
     """Find the sun of a picture: by its disc, else a saturated patch, else the aureole, else the pattern of the sky.
 
     **Arguments:** `near`, zenith angle and azimuth of a first guess, rad, at most 35 degrees from the sun.
-    **Errors:** `ValueError` if too little of the sky is seen. **Valid:** if `explained` is below one half the sky is not
-    clear. A nearly unobstructed sun is found within a tenth of a degree, a low sun by its aureole within two degrees.
+    **Errors:** `ValueError` if too little of the sky is seen. **Valid:** `explained` below one half means that the sky
+    is not clear. A nearly unobstructed sun is found within 0.1 degrees, a low sun by its aureole within two degrees.
     """
     disc = _disc(sight)
     if disc is not None:

@@ -116,7 +116,7 @@ def write_luts(
     **Errors:** `ValueError` for another camera, and for scenes outside the solver's range.
     **Valid:** light is linear sRGB in cd m^-2 divided by the scale in the JSON. Colours outside sRGB have a negative
     component; transmittances are clipped to 0 to 1. Read bilinearly with clamped edges, the sky view agrees with the
-    solver within 2 % outside the sun's aureole and half a degree around the horizon (tests).
+    solver within 2 % outside the sun's aureole and the last half degree to the horizon (tests).
     **Source:** Hillaire 2020, Comput. Graph. Forum 39, 13; transmittance as Bruneton & Neyret 2008 lay it out.
 
     **Example:**
@@ -198,7 +198,7 @@ def _transmittance(field: SphericalField) -> Float[np.ndarray, "row column 3"]:
     radius = np.hypot(rho, EARTH_RADIUS)
     nearest = top - radius
     away = nearest + u * (rho + whole - nearest)
-    # The distance is 0 in the row at the top of the air, where the view goes straight up
+    # At the top of the air the distance may be 0: there the view goes straight up
     cosine = np.where(away > 0.0, (whole**2 - rho**2 - away**2) / (2.0 * radius * np.maximum(away, 1.0)), 1.0)
     constituents = field.atmosphere.constituents
     place = as_float((radius - EARTH_RADIUS).ravel()), as_float(np.clip(cosine, -1.0, 1.0).ravel())
