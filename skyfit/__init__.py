@@ -6,7 +6,7 @@ from importlib.metadata import version
 import lazy_loader
 
 
-# These versions of jaxlib silently compute wrong sums of some products, and crash on arrays of more than seven axes:
+# These versions of jaxlib silently compute some sums of products wrongly, and crash over seven axes:
 # github.com/jax-ml/jax/issues/39103 and 39257. XLA reads the flag at its start, and aborts if it does not know it
 _FAULTY_JAXLIB, _WITHOUT_FAULT = ("0.10.2", "0.11.0"), "--xla_cpu_experimental_ynn_fusion_type=-reduce"
 _given = os.environ.get("XLA_FLAGS", "")

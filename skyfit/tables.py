@@ -32,7 +32,7 @@ def read_table(name: str) -> dict[str, np.ndarray]:
     **Returns**: column name to float64 array, one value per row; an empty cell is NaN. The arrays
     are read-only.
     **Valid**: lines that start with `#` are comments; the first other line names the columns. A
-    non-numeric cell, or a row of another length, is a `ValueError` that names file and row.
+    non-numeric cell, or a row of another length, is a `ValueError` with file, row and, for a cell, column.
     """
     return dict(_columns(name))
 
