@@ -34,9 +34,9 @@ def names_in(text: str) -> tuple[str, ...]:
 
 
 def free_of(text: str | None, sky: Sky, known: Collection[str] = ()) -> tuple[str, ...]:
-    """The names of the free parameters: those in `text`, or the default for the sky, without known values.
+    """The names of the free parameters: those named in `text`, those of its sets, or the default for the sky.
 
-    For sets and the default, the pointing is also omitted if the instrument tracks the sun and so knows its direction.
+    Sets and the default leave out parameters with known values, and the pointing if the instrument tracks the sun.
     """
     asked = [] if text is None else [name.strip() for name in text.split(",")]
     names = usual_free(sky) if text is None else names_in(text)

@@ -49,7 +49,7 @@ def plot(fit: Fit, path: str | os.PathLike) -> None:
     figure_of = figure_maker(path)
     count = len(fit.sky.time)
     rows = np.linspace(0, count - 1, min(count, _MOST_ROWS)).round().astype(int).tolist()
-    # inches
+    # Sizes in inches
     heading, bottom = 0.62, 0.55
     top = heading + shared_height(fit)
     heights = [max(3.04, 0.75 + table_height(fit, t)) for t in rows]
@@ -109,7 +109,7 @@ def plot_skies(
         raise ValueError(f"`directions` must hold ten or more above the horizon, got {zenith.size} in all")
     pictures = _pictures(zenith, azimuth, [list(skies.values()) for _, skies in rows])
     columns = names + [f"{name}: error" for name in names[1:]]
-    # inches
+    # Sizes in inches
     side, left, top, bottom = 2.15, 1.45, 0.5, 0.85 if len(names) > 1 else 0.3
     wide, tall = left + side * len(columns) + 0.1, top + bottom + side * len(rows)
     figure = figure_of((wide, tall))

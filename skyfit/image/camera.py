@@ -60,7 +60,7 @@ class Camera:
 
     `azimuth`, clockwise from north, of the middle column, or of a cube's face ahead; `elevation` of the middle of a
     perspective picture; `field_of_view`, by default pi for a fisheye and 70 degrees for a pinhole. All are in radians.
-    **Errors:** `ValueError` for values out of range, and for a lens that maps the sphere onto itself more than once.
+    **Errors:** `ValueError` for values out of range, and for a lens whose image distance does not grow with the angle.
     **Source:** Kannala & Brandt 2006, IEEE TPAMI 28, 1335, eq. 1-6, for mappings and the polynomial.
 
     **Example:**
