@@ -1,12 +1,12 @@
-"""What is installed only by those who ask for it: a fit of a table needs no more than the rest."""
+"""Check for optional dependencies. A fit of a table needs none of them."""
 
 from importlib.util import find_spec
 
 
 def require(*modules: str) -> None:
-    """Goes on where these modules can be imported.
+    """Check that modules can be imported.
 
-    **Errors:** `ModuleNotFoundError` that names those that lack, and the extra that brings them.
+    **Errors:** `ModuleNotFoundError` that names the missing modules and the extra that installs them.
     """
     lacking = [name for name in modules if not _is_there(name)]
     if lacking:
@@ -14,7 +14,7 @@ def require(*modules: str) -> None:
 
 
 def _is_there(module: str) -> bool:
-    # what colour-science puts in the place of a module that lacks has no specification
+    # colour-science may replace a missing module by a stub without a specification
     try:
         return find_spec(module) is not None
     except ValueError:

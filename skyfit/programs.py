@@ -1,4 +1,4 @@
-"""Programs kept between processes: what was traced and lowered once is only read the next time."""
+"""Compiled programs kept between processes, to avoid tracing and lowering them again."""
 
 import hashlib
 import os
@@ -22,7 +22,7 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 class _Shelf:
-    """Where this process keeps programs, if anywhere, and those that it has made or read."""
+    """The folder in which this process keeps programs (None: nowhere), and the programs it has made or read."""
 
     folder: Path | None = None
     sources: str = ""
@@ -30,21 +30,21 @@ class _Shelf:
 
 
 def keep_in(folder: str | os.PathLike | None) -> None:
-    """Keeps programs of `kept` functions in a folder from now on, where XLA may keep its own; None: no more."""
+    """Keep programs of `kept` functions in a folder from now on, which may be XLA's cache; None: keep none."""
     _Shelf.folder = None if folder is None else Path(folder)
-    # of what is loaded now, whatever happens to the files later
+    # Digest of the sources loaded now, because the files may change later
     _Shelf.sources = "" if folder is None else _sources_digest()
     _Shelf.programs = {}
 
 
 def kept(function: Callable, answer: Callable[..., Any], **compiling: Any) -> Callable:
-    """`function` compiled, by the program that an earlier process left where `keep_in` says, or by one left there.
+    """`function` compiled; programs are read from the folder of `keep_in` or, if absent, written there.
 
-    **Arguments:** `function` of trees of numbers and of what is static, which gives arrays; `answer`, of the same
-    arguments, any tree of the structure of what it gives; `compiling`, as `jax.jit` takes it.
-    **Returns:** a function of the same arguments; of what is traced it is `function` itself.
-    **Valid:** a program holds for one state of skyfit's sources and of what is beneath them, one backend and precision,
-    and one structure, shape and static part of the arguments; its name says which.
+    **Arguments:** `function` takes trees of arrays and static values and returns arrays; `answer` takes the same
+    arguments and returns any tree of the same structure as the result; `compiling`, options of `jax.jit`.
+    **Returns:** a function of the same arguments; with traced arguments it is `function` itself.
+    **Valid:** a program belongs to one state of skyfit's sources and of the libraries it uses, one backend and
+    precision, and one structure, shape and static part of the arguments; its name encodes all of them.
     """
     plain = eqx.filter_jit(function, **compiling)
 
@@ -71,7 +71,7 @@ def kept(function: Callable, answer: Callable[..., Any], **compiling: Any) -> Ca
             program = _read(_Shelf.folder / f"{name}.exported")
             if program is None:
                 program = export.export(jax.jit(flat))(*leaves)
-                # a folder that cannot be written to costs time, no result
+                # If the folder is not writable the program is not kept, but the result is the same
                 with suppress(OSError, ValueError):
                     _leave(program, _Shelf.folder, name)
             _Shelf.programs[name] = jax.jit(program.call, **compiling)
@@ -83,7 +83,7 @@ def kept(function: Callable, answer: Callable[..., Any], **compiling: Any) -> Ca
 def _read(path: Path) -> export.Exported | None:
     try:
         return export.deserialize(bytearray(path.read_bytes()))
-    # a file that is cut or foreign is no program, whatever its reader stumbles over
+    # A truncated or foreign file is no program, and its reader may raise any exception
     except Exception:
         return None
 
@@ -92,7 +92,7 @@ def _leave(program: export.Exported, folder: Path, name: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with atomic(folder / f"{name}.exported") as part:
         part.write_bytes(program.serialize())
-    # programs of other sources will not be asked for again
+    # Programs of other sources will not be used again
     function, sources, _ = name.rsplit("-", 2)
     for old in folder.glob(f"{function}-*.exported"):
         if not old.name.startswith(f"{function}-{sources}-"):
@@ -100,14 +100,14 @@ def _leave(program: export.Exported, folder: Path, name: str) -> None:
 
 
 def _sources_digest() -> str:
-    """Of skyfit's files, and of what is beneath them."""
+    """Digest of skyfit's files, of the versions of the libraries it uses, and of the backend."""
     files = sorted((str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in _sources())
     beneath = [version(name) for name in ("jax", "jaxlib", "equinox", "optimistix")]
     return _digest((files, beneath, jax.default_backend()))
 
 
 def _sources():
-    """Every file of which a program is made: skyfit's modules and tables."""
+    """All files that affect a program: skyfit's modules and tables."""
     yield from _PACKAGE.rglob("*.py")
     yield from data_path("astm_g173_extraterrestrial.csv").parent.glob("*.*")
 

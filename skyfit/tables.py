@@ -26,20 +26,20 @@ def data_path(name: str) -> Path:
 
 
 def read_table(name: str) -> dict[str, np.ndarray]:
-    """Columns of a shipped CSV table, read once and kept.
+    """Columns of a shipped CSV table, read once and cached.
 
     **Arguments**: `name`, file name below the data folder.
     **Returns**: column name to float64 array, one value per row; an empty cell is NaN. The arrays
     are read-only.
-    **Valid**: lines that start with `#` are comments, the first other line names the columns. A
-    cell that is no number, or a row of another length, is a `ValueError` with file, row, column.
+    **Valid**: lines that start with `#` are comments; the first other line names the columns. A
+    non-numeric cell, or a row of another length, is a `ValueError` with file, row and, for a cell, column.
     """
     return dict(_columns(name))
 
 
 @lru_cache(maxsize=8)
 def read_arrays(name: str) -> MappingProxyType[str, np.ndarray]:
-    """Arrays of a shipped NPZ file, read once and kept.
+    """Arrays of a shipped NPZ file, read once and cached.
 
     **Arguments**: `name`, file name below the data folder.
     **Returns**: array name to array, both read-only.

@@ -1,4 +1,4 @@
-"""What every analytic sky answers: luminance and chromaticity by Perez' form times their zenith values."""
+"""The base class of analytic skies: luminance and chromaticity as Perez' distribution times the zenith value."""
 
 from abc import abstractmethod
 
@@ -18,7 +18,7 @@ OUTSIDE = "kept", "pale", "nan"
 
 
 class AbstractAnalyticSky(Ranged):
-    """A clear sky in closed form, by turbidity and the sun's zenith angle."""
+    """A clear sky in closed form, a function of turbidity and the sun's zenith angle."""
 
     @abstractmethod
     def perez(self, turbidity: Float[ArrayLike, ""], theta_sun: Float[ArrayLike, ""]) -> tuple[Perez, Perez, Perez]:
@@ -31,11 +31,11 @@ class AbstractAnalyticSky(Ranged):
     def zenith(
         self, turbidity: Float[ArrayLike, ""], theta_sun: Float[ArrayLike, ""]
     ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-        """Luminance (cd m^-2) and chromaticity x, y of the zenith; arguments as `perez`."""
+        """Luminance (cd m^-2) and chromaticity x, y of the zenith; arguments as for `perez`."""
 
     @abstractmethod
     def check_range(self, turbidity, sun_zenith) -> None:
-        """Raises `ValueError` where the model has no answer; for concrete values, outside jit.
+        """Raise `ValueError` outside the model's range; for concrete values, outside jit.
 
         **Arguments:** `turbidity`; `sun_zenith` radians; numbers or arrays.
         """
@@ -53,14 +53,13 @@ class AbstractAnalyticSky(Ranged):
     ) -> tuple[Float[Array, "*direction"], Float[Array, "*direction"], Float[Array, "*direction"]]:
         r"""Luminance and chromaticity of the sky in the given directions.
 
-        $Y = Y_z F_Y(\theta, \gamma) / F_Y(0, \theta_s)$, and so for x and y.
+        $Y = Y_z F_Y(\theta, \gamma) / F_Y(0, \theta_s)$, and likewise for x and y.
 
         **Arguments:** `turbidity`; `theta_sun` sun zenith angle; `theta` view zenith angle and
         `gamma` angle from the sun, `[direction]`; radians.
         **Returns:** Y in cd m^-2, x, y, each `[direction]`.
-        **Valid:** where `valid` says so: of turbidity and sun nothing is raised here. Angles from 0 to pi, else
-        `ValueError` where they are not traced. Directions below the horizon get the horizon's
-        value of F at their gamma.
+        **Valid:** where `valid` is True; this method does not check turbidity and sun. Concrete angles outside 0 to
+        pi are a `ValueError`. Directions below the horizon get the horizon's value of F at their gamma.
         **Source:** Preetham 1999 eq. 4, A.2.
         """
         check_radians("theta_sun", theta_sun, 0.0, np.pi)
@@ -72,9 +71,9 @@ class AbstractAnalyticSky(Ranged):
         return luminance, x, y
 
     def xyz(self, turbidity: Float[ArrayLike, ""], scene: Scene) -> Float[Array, "direction 3"]:
-        """Tristimulus values of the sky in the scene's directions; of its wavelengths and its sun's light none is used.
+        """Tristimulus values of the sky in the scene's directions.
 
-        **Arguments:** `turbidity`, dimensionless; `scene`.
+        **Arguments:** `turbidity`, dimensionless; `scene`, whose wavelengths and solar irradiance are not used.
         **Returns:** X, Y, Z in cd m^-2 for the CIE 1931 observer, `[direction, 3]`; 0 below the horizon.
         **Valid:** as `radiance`. **Source:** as `luminance_chromaticity`.
         """
@@ -82,16 +81,16 @@ class AbstractAnalyticSky(Ranged):
         return xyz_from_xyY(jnp.stack([x, y, luminance], axis=-1))
 
     def radiance(self, turbidity: Float[ArrayLike, ""], scene: Scene) -> Float[Array, "direction wavelength"]:
-        r"""Spectral radiance of the sky: daylight of its chromaticity, with its luminance.
+        r"""Spectral radiance of the sky: daylight with the model's chromaticity and luminance.
 
         $L(\lambda) = Y S_D(\lambda; x, y) / (683 \int S_D \bar y d\lambda)$; see `skyfit.light.daylight`.
 
         **Arguments:** `turbidity`, dimensionless; `scene`, whose `solar_irradiance` is not used: the luminance is
-        absolute, and knows no Earth-Sun distance and no other sun.
+        absolute and does not depend on the Earth-Sun distance or the solar spectrum.
         **Returns:** W m^-2 sr^-1 nm^-1, `[direction, wavelength]`; 0 below the horizon.
-        **Valid:** 300-830 nm, and where `valid` says so. A turbidity that is no tracer and that `check_range`
-        refuses is a `ValueError`, and so for the sun beside it; values traced by jit, vmap or grad raise nothing: ask
-        `valid`. Outside the range all is finite, and 0 where the luminance is negative.
+        **Valid:** 300-830 nm, and where `valid` is True. A concrete turbidity, with a concrete sun, outside
+        `check_range` is a `ValueError`. Values traced by jit, vmap or grad raise nothing; use `valid` for them.
+        Outside the range the result is finite, and 0 where the luminance is negative.
         **Source:** Preetham 1999 eq. 4, A.2, A.5.
         """
         luminance, x, y = self._seen(turbidity, scene)
@@ -104,17 +103,17 @@ class AbstractAnalyticSky(Ranged):
         view: Float[Array, "3 ..."],
         outside: str = "kept",
     ) -> Float[Array, "3 ..."]:
-        r"""The sky as linear sRGB in many directions, fast: for images, see `skyfit.scene.fisheye`.
+        r"""Linear sRGB of the sky in many directions; fast enough for images (see `skyfit.scene.fisheye`).
 
         **Arguments:** `turbidity`, dimensionless; `sun` and `view`, unit vectors east, north, up, the components first;
-        `outside`, what becomes of colours outside the screen's range: "kept", with a negative component; "pale", mixed
-        with grey of their luminance until none is negative; "nan", and so everywhere where `valid` is False, which
-        flags the skies of a batch.
+        `outside`, the treatment of colours outside the screen's gamut: "kept" leaves the negative component; "pale"
+        mixes them with grey of their luminance until no component is negative; "nan" makes them NaN, and the whole sky
+        where `valid` is False, which flags the skies of a batch.
         **Returns:** red, green, blue in cd m^-2, `[3, direction]`: white of that luminance has three equal values.
-        Times an exposure and through `skyfit.light.srgb_from_linear` it is a pixel. 0 below the horizon, z < -1e-6.
-        **Valid:** as `radiance`; vectors of length 1, else `ValueError` where they are not traced; float32 within 1e-5
-        of the largest component, against `xyz` in float64. Fast outside jit, where it runs as three programs; within
-        another one, it is right and slower.
+        Multiply by an exposure and apply `skyfit.light.srgb_from_linear` for pixels. 0 below the horizon, z < -1e-6.
+        **Valid:** as `radiance`. Concrete vectors whose length is not 1 are a `ValueError`. float32 agrees with `xyz`
+        in float64 within 1e-5 of the largest component. Outside jit it runs as three compiled programs and is fast;
+        inside another compiled program it is correct but slower.
         **Source:** Preetham 1999 eq. 4, A.2; IEC 61966-2-1:1999.
         """
         sun = jnp.asarray(sun)
@@ -137,9 +136,9 @@ class AbstractAnalyticSky(Ranged):
         return found
 
     def frame(self, turbidity: Float[ArrayLike, ""], theta_sun: Float[ArrayLike, ""]) -> Float[Array, "3 6"]:
-        """All that one sky is, in 18 numbers: of Y (cd m^-2), x and y each A, B, C, D, E and the zenith's value over F.
+        """The 18 numbers that determine one sky: for Y (cd m^-2), x and y each A-E and the zenith value over F there.
 
-        **Arguments:** `turbidity`; `theta_sun`, the sun's zenith angle, rad. **Valid:** where `valid` says so.
+        **Arguments:** `turbidity`; `theta_sun`, the sun's zenith angle, rad. **Valid:** where `valid` is True.
         **Source:** as `luminance_chromaticity`; `skyfit.records.write_evaluator` writes code that evaluates them.
         """
         values, shapes = self.zenith(turbidity, theta_sun), self.perez(turbidity, theta_sun)
@@ -147,7 +146,7 @@ class AbstractAnalyticSky(Ranged):
         return jnp.stack([jnp.append(s.coefficients, v) for s, v in zip(shapes, scale, strict=True)])
 
     def _seen(self, turbidity, scene: Scene):
-        """Luminance, 0 where there is none, and chromaticity in the scene's directions."""
+        """Luminance and chromaticity in the scene's directions; luminance is 0 below the horizon or if negative."""
         _check_scalar(turbidity)
         self._check(turbidity, scene.sun_zenith)
         view = scene.view
@@ -156,7 +155,7 @@ class AbstractAnalyticSky(Ranged):
         return jnp.where(above_horizon(view.zenith), jnp.maximum(luminance, 0.0), 0.0), x, y
 
     def _check(self, turbidity, sun_zenith) -> None:
-        """`check_range` of what can be seen of the values while a program is traced."""
+        """Apply `check_range` to those values that are concrete while a program is traced."""
         haze, sun = concrete(turbidity), concrete(sun_zenith)
         if haze is not None:
             self.check_range(haze, 0.0 if sun is None else sun)
@@ -168,7 +167,7 @@ def _check_scalar(turbidity) -> None:
 
 
 def check_sun_is_up(sun_zenith) -> None:
-    """A `ValueError` unless all zenith angles of the sun (radians, concrete) are between 0 and pi/2."""
+    """Raise `ValueError` unless all zenith angles of the sun (radians, concrete) are between 0 and pi/2."""
     sun = np.atleast_1d(np.asarray(sun_zenith, dtype=np.float64))
     # float32 pi/2 is above pi/2
     bad = ~((sun >= 0.0) & (sun <= 0.5 * np.pi + 1e-6))
@@ -180,6 +179,6 @@ def check_sun_is_up(sun_zenith) -> None:
 def _rows(
     sky: AbstractAnalyticSky, turbidity: Float[ArrayLike, ""], sun: Float[Array, "3"]
 ) -> tuple[Float[Array, ""], Float[Array, "3 6"]]:
-    """The zenith angle of the sun's direction, and the frame of that sky."""
+    """The sun's zenith angle, and `frame` of the sky with that sun."""
     sun_zenith = jnp.arctan2(safe_sqrt(jnp.square(sun[0]) + jnp.square(sun[1])), sun[2])
     return sun_zenith, sky.frame(turbidity, sun_zenith)

@@ -1,4 +1,4 @@
-"""The skies of the CIE: clear, overcast, and what lies between a clear sky and an overcast one."""
+"""The CIE's clear and overcast skies, and a mixture of a clear and an overcast sky."""
 
 import math
 
@@ -16,22 +16,22 @@ from .perez import Perez
 
 # Preetham 1999 eq. 1 over 0.91: A, B, C, D, E of Perez' form
 _CLEAR = (-1.0, -0.32, 10.0 / 0.91, -3.0, 0.45 / 0.91)
-# a sky of one value
+# Perez coefficients of a uniform distribution
 _EVEN = (0.0, -1.0, 0.0, -1.0, 0.0)
-# rad; the tangent of a sun nearer to the zenith runs away (Radiance's gensky stops at 87 degrees, too)
+# Largest solar elevation, rad; the tangent diverges toward the zenith (Radiance's gensky stops at 87 degrees, too)
 _HIGHEST_SUN = math.radians(87.0)
 _NARROWEST = 1e-3
 
 
 class CIEClear(AbstractAnalyticSky):
-    r"""The CIE's clear sky, grey: luminance by sun and turbidity, the chromaticity of D65, which screens show as grey.
+    r"""The CIE's clear sky: luminance from sun and turbidity, with the chromaticity of D65, which screens show as grey.
 
     $Y = Y_z \frac{(0.91 + 10 e^{-3\gamma} + 0.45 \cos^2\gamma) (1 - e^{-0.32/\cos\theta})}
     {(0.91 + 10 e^{-3\theta_s} + 0.45 \cos^2\theta_s) (1 - e^{-0.32})}$, Perez' form with A, B, C, D, E of
     -1, -0.32, 10.99, -3, 0.4945.
 
-    **Valid:** `valid`; the formula goes on beyond, finite. **Source:** Kittler 1967, CIE 110-1994; Preetham 1999,
-    eq. 1. The zenith: `zenith`.
+    **Valid:** where `valid` is True; beyond, the formula is finite. **Source:** Kittler 1967, CIE 110-1994; Preetham
+    1999, eq. 1. The zenith: `zenith`.
 
     **Example:**
 
@@ -41,7 +41,7 @@ class CIEClear(AbstractAnalyticSky):
     """
 
     def perez(self, turbidity: Float[ArrayLike, ""], theta_sun: Float[ArrayLike, ""]) -> tuple[Perez, Perez, Perez]:
-        """The distribution of luminance, one for every turbidity and sun, and even ones of x and y."""
+        """The distribution of luminance, independent of turbidity and sun, and uniform distributions of x and y."""
         even = Perez(*_EVEN)
         return Perez(*_CLEAR), even, even
 
@@ -52,9 +52,9 @@ class CIEClear(AbstractAnalyticSky):
 
         **Arguments:** `turbidity`; `theta_sun`, the sun's zenith angle $\pi/2 - h$ in radians.
         **Returns:** cd m^-2, x, y.
-        **Valid:** `valid`. A sun within 3 degrees of the zenith is taken to be 3 degrees from it, one below the
-        horizon to be on it. Its T measures how the haze dims sunlight, as Linke's turbidity does: near, not equal
-        to Preetham's, whose own zenith is 1.5 to 4 times as bright at the same number.
+        **Valid:** where `valid` is True. A sun within 3 degrees of the zenith is moved to 3 degrees from it, a sun
+        below the horizon to the horizon. This T measures the extinction of sunlight, like Linke's turbidity. It is
+        close but not equal to Preetham's T: at the same number Preetham's zenith is 1.5 to 4 times as bright.
         **Source:** the formula of Radiance's gensky; Preetham 1999 names Karayel et al. 1984 and CIE 110-1994 for
         formulas of this kind, neither of which was at hand.
         """
@@ -63,7 +63,7 @@ class CIEClear(AbstractAnalyticSky):
         return luminance, x, y
 
     def check_range(self, turbidity, sun_zenith) -> None:
-        """Raises `ValueError` where the zenith is not bright or the sun not up; for concrete values, outside jit.
+        """Raise `ValueError` if the zenith luminance is not positive or the sun not up; concrete values, outside jit.
 
         **Arguments:** `turbidity`; `sun_zenith` radians; numbers or arrays.
         """
@@ -77,7 +77,7 @@ class CIEClear(AbstractAnalyticSky):
             )
 
     def valid(self, turbidity: Float[ArrayLike, ""], sun_zenith: Float[ArrayLike, ""]) -> Bool[Array, ""]:
-        """Whether the sun is up, 3 degrees from the zenith at least, and the zenith bright. NaN gives False."""
+        """Whether the sun is up, at least 3 degrees from the zenith, and the zenith luminance positive. NaN: False."""
         sun = jnp.asarray(sun_zenith)
         near_zenith = sun < 0.5 * jnp.pi - _HIGHEST_SUN
         return ~near_zenith & (sun <= 0.5 * jnp.pi) & (self.zenith(turbidity, sun)[0] > 0.0)
@@ -89,10 +89,10 @@ def _clear_zenith(turbidity, theta_sun):
 
 
 def overcast_zenith_luminance(theta_sun: Float[ArrayLike, ""]) -> Float[Array, ""]:
-    r"""Luminance of the zenith of the overcast sky, $123 + 8600 \sin h$.
+    r"""Zenith luminance of the overcast sky, $123 + 8600 \sin h$.
 
     **Arguments:** `theta_sun`, the sun's zenith angle $\pi/2 - h$ in radians. **Returns:** cd m^-2.
-    **Valid:** the sun up; below the horizon the value of the horizon.
+    **Valid:** sun above the horizon; for a sun below it the value at the horizon holds.
     **Source:** the formula of Radiance's gensky; to 0.2 % the $\frac{9}{7\pi} (300 + 21000 \sin h)$ of Krochmann &
     Seidl 1974 and DIN 5034-2, which states the horizontal illuminance.
     """
@@ -107,7 +107,7 @@ def overcast_luminance(
 
     **Arguments:** `theta_sun`, zenith angle of the hidden sun; `theta`, view zenith angle `[direction]`; radians.
     **Returns:** cd m^-2, `[direction]`; the horizontal illuminance is $\frac{7\pi}{9} Y_z$.
-    **Valid:** views above the horizon; below it the horizon's value. Zenith: `overcast_zenith_luminance`.
+    **Valid:** views above the horizon; views below it get the horizon's value. Zenith: `overcast_zenith_luminance`.
     **Source:** Moon & Spencer 1942, CIE 110-1994; Preetham 1999, eq. 2.
 
     **Example:**
@@ -122,14 +122,14 @@ def overcast_luminance(
 
 
 class Intermediate(Ranged):
-    r"""A sky that turns from clear to overcast as turbidity rises.
+    r"""A sky that changes from clear to overcast with increasing turbidity.
 
-    $L = (1 - w) L_{clear} + w L_{overcast}$, $w = 3s^2 - 2s^3$ with s rising from 0 at `clear_turbidity` to 1 at
-    `overcast_turbidity`. The overcast sky is grey: its light is that of D65. Radiances are mixed, so luminance and
-    spectrum are both those of the two lights together.
+    $L = (1 - w) L_{clear} + w L_{overcast}$, $w = 3s^2 - 2s^3$ with s increasing linearly from 0 at `clear_turbidity`
+    to 1 at `overcast_turbidity`. The overcast sky has the spectrum of D65. Radiances are mixed, so luminance and
+    spectrum are those of the sum of both lights.
 
-    **Valid:** the two turbidities in this order, else `ValueError`. Up to the first it is the clear sky alone, from
-    the second the overcast one alone; the clear sky is not asked for more turbidity than that.
+    **Valid:** `clear_turbidity` below `overcast_turbidity`, else `ValueError`. Up to the first turbidity the sky is
+    clear, from the second overcast. The clear sky is evaluated at `overcast_turbidity` at most.
     **Source:** Preetham 1999, sec. 5, which says to interpolate and shows an overcast sky at turbidity 10; its own
     model is fitted to 2 to 6 (sec. 3.2): hence 6 and 10. The weight is a choice of this code.
 
@@ -161,7 +161,7 @@ class Intermediate(Ranged):
         theta: Float[ArrayLike, "*direction"],
         gamma: Float[ArrayLike, "*direction"],
     ) -> tuple[Float[Array, "*direction"], Float[Array, "*direction"], Float[Array, "*direction"]]:
-        """Luminance and chromaticity in the given directions, by the sum of the tristimulus values.
+        """Luminance and chromaticity in the given directions, from the sum of the tristimulus values.
 
         **Arguments, returns:** as `AbstractAnalyticSky.luminance_chromaticity`. **Valid:** as the clear sky.
         """
@@ -183,7 +183,7 @@ class Intermediate(Ranged):
     ) -> Float[Array, "direction wavelength"]:
         """Spectral radiance, given that of the clear sky.
 
-        **Arguments:** `turbidity`; `scene`; `clear_radiance`, W m^-2 sr^-1 nm^-1, by whatever model.
+        **Arguments:** `turbidity`; `scene`; `clear_radiance`, W m^-2 sr^-1 nm^-1, from any model.
         **Returns:** W m^-2 sr^-1 nm^-1. **Valid:** 300-830 nm; below the horizon the overcast sky is dark.
         """
         share = self.overcast_share(turbidity)

@@ -1,4 +1,4 @@
-"""All coefficients of an analytic sky fitted to many skies at once, whatever the form of the coefficients."""
+"""The joint fit of all coefficients of an analytic sky to many skies, for any form of the coefficients."""
 
 from typing import NamedTuple
 
@@ -16,33 +16,33 @@ from .perez import Perez
 from .preetham import Preetham
 
 
-# residuals are relative errors in these units: 5 % of luminance, 1 % of chromaticity
+# Units of the residuals, relative errors: 5 % of luminance, 1 % of chromaticity
 UNIT = (0.05, 0.01, 0.01)
 _MOST_STEPS, _TOLERANCE = 200, 1e-2
-# bounds of A, B, C, D, E of the linear form for luminance and for chromaticity: without them a circumsolar term that
-# is wide and huge stands for a constant, and extrapolates wildly
+# Bounds of A, B, C, D, E in the linear form, for luminance and for chromaticity. Without them the fit may use a wide
+# and huge circumsolar term as a constant, which extrapolates badly
 _LOWER = ((-1.5, -6.0, 0.0, -12.0, -1.0), (-0.9, -6.0, -1.0, -6.0, -0.5), (-0.9, -6.0, -1.0, -6.0, -0.5))
 _UPPER = ((5.0, -0.01, 60.0, -0.5, 5.0), (1.0, -0.01, 2.0, -0.2, 0.5), (1.0, -0.01, 2.0, -0.2, 0.5))
-# degrees of the extended form's polynomials in turbidity and sun, plus one
+# Number of Chebyshev polynomials in turbidity and in sun of the extended form
 _ORDERS = (5, 7)
-# the extended form's numbers u where its fit starts: a horizon some times brighter than the zenith, a wide aureole
+# Initial numbers u of the extended form: a horizon brighter than the zenith and a wide aureole
 _FIRST_NUMBERS = ((-0.9, -1.2, 2.5, 0.8, 0.9), (-0.1, -1.2, 0.55, 0.4, 0.48), (-0.1, -1.2, 0.55, 0.4, 0.48))
-# draws what the skies do not determine towards a constant
+# Regularisation that draws undetermined coefficients towards a constant
 _STIFFNESS = 0.01
 
 
 class Linear:
     """Preetham's form: A-E linear in turbidity and the same for every sun, zenith polynomials as published.
 
-    The unknowns of a quantity: A-E at both ends of the turbidities, by logistic maps between bounds; the zenith's
-    coefficients as they are.
+    The unknowns of a quantity are A-E at the smallest and the largest turbidity, mapped between bounds by a logistic
+    function, and the zenith coefficients themselves.
     """
 
     def first(self, published: Preetham) -> Preetham:
         return published
 
     def start(self, quantity: int, target, sun, turbidity):
-        """The published coefficients, drawn into the bounds."""
+        """The published coefficients, moved inside the bounds."""
         published = Preetham.published()
         lower, upper = np.array(_LOWER[quantity]), np.array(_UPPER[quantity])
         slope, constant = np.asarray(published.distribution[quantity]).T
@@ -57,7 +57,7 @@ class Linear:
         return jnp.where(jnp.arange(start.size) < 10, LOGISTIC_LIMIT, jnp.inf).astype(start.dtype)
 
     def bound(self, quantity: int, free, turbidity):
-        """Slope and constant of each Perez parameter, then the zenith's coefficients."""
+        """Slope and constant of each Perez parameter, then the zenith coefficients."""
         lower, upper = as_float(_LOWER[quantity]), as_float(_UPPER[quantity])
         low, high = (lower + (upper - lower) * jax.nn.sigmoid(u) for u in (free[:5], free[5:10]))
         first, last = jnp.min(turbidity), jnp.max(turbidity)
@@ -66,7 +66,7 @@ class Linear:
         return jnp.concatenate([distribution.ravel(), free[10:]])
 
     def put(self, model: Preetham, quantity: int, value) -> Preetham:
-        """The model with the ten distribution and all zenith coefficients of a quantity replaced."""
+        """The model with the ten distribution coefficients and all zenith coefficients of a quantity replaced."""
         distribution = model.distribution.at[quantity].set(value[:10].reshape(5, 2))
         model = eqx.tree_at(lambda m: m.distribution, model, distribution)
         if quantity == 0:
@@ -85,7 +85,7 @@ class Extended:
         return ExtendedPreetham(jnp.zeros((3, 6, *_ORDERS)))
 
     def start(self, quantity: int, target, sun, turbidity):
-        """One shape for all skies, and the zenith's own value of each."""
+        """One distribution for all skies, and a fit to the zenith value of each sky."""
         polynomials = jax.vmap(self.first(Preetham.published()).polynomials)
         table = np.asarray(polynomials(as_float(turbidity), as_float(sun))).reshape(len(turbidity), -1)
         coefficients = np.zeros((6, table.shape[1]))
@@ -105,7 +105,7 @@ class Extended:
         return eqx.tree_at(lambda m: m.coefficients, model, changed)
 
     def stiffness(self, value):
-        # all but the constants
+        # All coefficients except the constants
         return _STIFFNESS * value.reshape(6, -1)[:, 1:].ravel()
 
 
@@ -126,12 +126,12 @@ class _Skies(NamedTuple):
 def fit_joint(form: CoefficientForm, quantity: int, start: Float[Array, " parameter"], skies) -> Solution:
     r"""The coefficients of Y (0), x (1) or y (2) that minimise the relative error over all skies.
 
-    At each step the residual of a sky is linear in its six numbers A-E and the zenith's value: the QR of its Jacobian
-    reduces it, exactly, to six numbers and the length of what is orthogonal to them, and the joint problem has seven
-    rows a sky whatever the number of directions.
+    At each step the residual of a sky is linearised in its six numbers, A-E and the zenith value. The QR factorisation
+    of its Jacobian reduces it exactly to six numbers and the length of the orthogonal remainder. The joint problem
+    therefore has seven rows per sky for any number of directions.
 
-    **Arguments:** `form`; `start`, its unknowns; `skies`: light `[sky, direction]`, gamma, view zenith, sun,
-    turbidity, weight of each direction. **Returns:** `Solution`; `value` is what `form.put` takes.
+    **Arguments:** `form`; `start`, its initial unknowns; `skies`: light `[sky, direction]`, gamma, view zenith, sun,
+    turbidity, weight of each direction. **Returns:** `Solution`, whose `value` is the argument for `form.put`.
     """
     skies = _Skies(*skies)
     model = form.first(Preetham.published())
@@ -151,13 +151,13 @@ def fit_joint(form: CoefficientForm, quantity: int, start: Float[Array, " parame
 
 
 def _six(model: AbstractAnalyticSky, quantity: int, turbidity, sun):
-    """A-E and the zenith's value of one quantity."""
+    """A-E and the zenith value of one quantity."""
     shape, zenith = model.perez(turbidity, sun)[quantity], model.zenith(turbidity, sun)[quantity]
     return jnp.concatenate([shape.coefficients, zenith[None]])
 
 
 def _reduced(numbers, values, gamma, sun, zenith, weight):
-    """The residual of one sky in seven numbers, whose derivatives by `numbers` are those of all directions."""
+    """The residual of one sky in seven numbers, with the cost and its gradient by `numbers` of all directions."""
 
     def residual(six):
         ratio = Perez.from_coefficients(six[:5]).ratio(zenith, gamma, sun)
@@ -167,6 +167,6 @@ def _reduced(numbers, values, gamma, sun, zenith, weight):
     jacobian, whole = jax.jacfwd(lambda six: (residual(six),) * 2, has_aux=True)(fixed)
     factor = triangle(jnp.concatenate([jacobian, whole[:, None]], axis=1))
     count = numbers.size
-    # Q^T b, R, and the length of what is left of b
+    # Q^T b, R, and the length of the part of b orthogonal to Q
     constant = jax.lax.stop_gradient((factor[:count, -1], factor[:count, :-1], jnp.abs(factor[count, -1])))
     return jnp.concatenate([constant[0] + constant[1] @ (numbers - fixed), constant[2][None]])

@@ -8,12 +8,12 @@ from jaxtyping import Array, ArrayLike, Float
 from ..numerics import as_float, check_radians, Ranged, within
 
 
-# cos(89.43 deg): from there down the sky keeps one value per angle from the sun
+# Smallest cos(theta), that of 89.43 degrees: below, the sky depends on the angle from the sun only
 LOWEST_COSINE = 0.01
-# exp(20) = 5e8: the square of a product of two of them is still a float32
+# Largest exponent; exp(20) = 5e8, and the square of a product of two such factors fits in float32
 LARGEST_EXPONENT = 20.0
 _SMALLEST_ZENITH = 1e-6
-# of a coefficient: any finite one, a float32
+# Largest coefficient: any finite float32
 _MOST = 1e38
 
 
@@ -22,16 +22,16 @@ def perez_distribution(
     theta: Float[ArrayLike, "*direction"],
     gamma: Float[ArrayLike, "*direction"],
 ) -> Float[Array, "*direction"]:
-    r"""Relative sky light in a direction.
+    r"""Relative luminance or chromaticity of the sky in a direction.
 
     $F(\theta, \gamma) = (1 + A e^{B / \cos\theta}) (1 + C e^{D \gamma} + E \cos^2\gamma)$
 
     **Arguments:** `coefficients` A, B, C, D, E, `[5]`; `theta` view zenith angle, `gamma` angle
     from the sun, radians, `[direction]`.
     **Returns:** dimensionless, `[direction]`.
-    **Valid:** theta below pi/2; angles outside 0 to pi are a `ValueError` where they are not traced. The inputs are
-    guarded: cos(theta) is at least 0.01, so that at the horizon and below it the value is that of 89.43 degrees; the
-    exponents are at most 20. Value and gradients are finite everywhere.
+    **Valid:** theta below pi/2; concrete angles outside 0 to pi are a `ValueError`. The inputs are guarded: cos(theta)
+    is at least 0.01, so at and below the horizon the value at 89.43 degrees holds, and exponents are at most 20. Value
+    and gradients are finite everywhere.
     **Source:** Perez et al. 1993 eq. 1; Preetham 1999 eq. 3.
     """
     check_radians("theta", theta, 0.0, np.pi)
@@ -46,9 +46,9 @@ def perez_distribution(
 class Perez(Ranged):
     """Perez' distribution with its five coefficients; see `perez_distribution`.
 
-    `horizon_darkening` A: negative brightens the horizon. `horizon_gradient` B: how near the
-    horizon that happens, negative. `circumsolar_intensity` C. `circumsolar_width` D, per radian,
-    negative: nearer to 0 is wider. `backscatter` E.
+    `horizon_darkening` A: negative values brighten the horizon. `horizon_gradient` B, negative: how close to the
+    horizon that happens. `circumsolar_intensity` C. `circumsolar_width` D, per radian, negative: values near 0 are
+    wide. `backscatter` E.
 
     **Example:**
 
@@ -85,7 +85,7 @@ class Perez(Ranged):
     def relative(
         self, theta: Float[ArrayLike, "*direction"], gamma: Float[ArrayLike, "*direction"]
     ) -> Float[Array, "*direction"]:
-        """F(theta, gamma), the arguments, range and source of `perez_distribution`."""
+        """F(theta, gamma); arguments, range and source as for `perez_distribution`."""
         return perez_distribution(self.coefficients, theta, gamma)
 
     def ratio(
@@ -94,19 +94,19 @@ class Perez(Ranged):
         gamma: Float[ArrayLike, "*direction"],
         theta_sun: Float[ArrayLike, ""],
     ) -> Float[Array, "*direction"]:
-        """Sky light in units of that of the zenith, F(theta, gamma) / F(0, theta_sun).
+        """Sky light relative to the zenith, F(theta, gamma) / F(0, theta_sun).
 
         **Arguments:** `theta` view zenith angle, `gamma` angle from the sun, `[direction]`,
         `theta_sun` the sun's zenith angle, radians.
         **Returns:** dimensionless, `[direction]`; 1 at the zenith.
-        **Valid:** coefficients whose zenith F(0, theta_sun) is positive; nearer to 0 than 1e-6 it
-        is taken as 1e-6 with its sign, so that the result is finite, if large.
+        **Valid:** coefficients with positive F(0, theta_sun). Its absolute value is raised to at least 1e-6 with
+        its sign kept, so that the result is finite, though possibly large.
         **Source:** Preetham 1999 eq. 4.
         """
         return self.relative(theta, gamma) / self.at_zenith(theta_sun)
 
     def at_zenith(self, theta_sun: Float[ArrayLike, ""]) -> Float[Array, ""]:
-        """F(0, theta_sun), the unit of `ratio`, kept away from 0 as it says."""
+        """F(0, theta_sun), the divisor in `ratio`, kept away from 0 as described there."""
         zenith = self.relative(jnp.zeros_like(theta_sun), theta_sun)
         smallest = jnp.where(zenith < 0.0, -_SMALLEST_ZENITH, _SMALLEST_ZENITH)
         return jnp.where(jnp.abs(zenith) < _SMALLEST_ZENITH, smallest, zenith)

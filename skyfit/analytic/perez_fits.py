@@ -11,34 +11,35 @@ from jaxtyping import Array, Bool, Float, Int
 from .perez import LOWEST_COSINE
 
 
-# A-E where a fit starts if nothing else is said: Preetham 1999, A.2 near T = 3
+# Default initial A-E of a fit: Preetham 1999, A.2 near T = 3
 CLEAR_SKY = (-1.0, -0.4, 8.0, -2.3, 0.4)
-# skies that are iterated together; the next sky takes the place of one that has ended
+# Number of skies iterated together; the next sky replaces one that has finished
 _LANES = 64
-# directions in a vector of the widest registers, float32
+# Number of float32 values in the widest vector register
 _VECTOR = 16
-# Marquardt's factor after the first evaluation, after a worse and after a better one; tuned on 3000 simulated skies
+# Marquardt's damping after the first evaluation, and its factors after a worse and after a better one; tuned on 3000
+# simulated skies
 _FIRST_DAMPING, _MORE, _LESS = 0.003, 4.0, 0.1
 _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e7
-# a step that is damped less than this is near enough to Gauss-Newton's that what it promises is what is left
+# With less damping than this a step is so close to Gauss-Newton's that its predicted decrease is the remaining one
 _LITTLE_DAMPING = 0.1
-# per step, of the logarithms u0, u1 and u3
+# Largest change of the logarithms u0, u1 and u3 per step
 _LONGEST_STEP = 0.5
-# relative rounding error of the light of a direction in the loop
+# Relative rounding error of the light of a direction in the loop
 _ROUNDING = 2e-7
-# the zenith is this often brighter than a direction at most: squares of it are still a float32
+# Largest ratio of the zenith's light to a direction's; its square fits in float32
 _LARGEST_RATIO = 1e12
-# of the unknowns: from A exp(B) = 3e6, B = -20 and D = -150 on, a whole family of coefficients is the same sky
+# Largest unknowns: beyond A exp(B) = 3e6, B = -20 and D = -150 many coefficients give the same sky
 _EDGE = (15.0, 3.0, math.inf, 5.0, math.inf)
-# exp(20) exp(60) = 5e34 still is a float32: A is finite beyond the edge, too
+# Limits that keep A finite beyond _EDGE, too: exp(20) exp(60) = 5e34 fits in float32
 _LARGEST_FACTOR, _STEEPEST = 20.0, 60.0
 
 
 class PerezFits(NamedTuple):
     """Fits of many skies: `coefficients` A, B, C, D, E; `cost`, the sum of squared residuals; `steps`, evaluations.
 
-    `converged` is False where the steps ran out, where the light or the angles of a sky were not usable, and where the
-    fit ran off: A exp(B) above 3e6, B below -20 or D below -150.
+    `converged` is False if `max_steps` was reached, if the light or the angles of a sky were not usable, and if the
+    fit diverged: A exp(B) above 3e6, B below -20 or D below -150.
     """
 
     coefficients: Float[Array, "sky parameter"]
@@ -48,7 +49,7 @@ class PerezFits(NamedTuple):
 
 
 class _Skies(NamedTuple):
-    """What the residual of each sky needs: the zenith's light over the direction's, angles from the sun, the sun."""
+    """Inputs of the residuals: zenith light over the direction's, angle from the sun, its squared cosine, the sun."""
 
     ratio: Float[Array, "sky direction"]
     gamma: Float[Array, "sky direction"]
@@ -57,7 +58,7 @@ class _Skies(NamedTuple):
 
 
 class _Lanes(NamedTuple):
-    """The loop's state: what each lane works at, which sky is the next, and what has been found."""
+    """The loop's state: the sky and iterate of each lane, the next sky to start, and the results so far."""
 
     sky: Int[Array, " lane"]
     point: Float[Array, "lane parameter"]
@@ -84,26 +85,26 @@ def fit_perez(
     max_steps: int = 100,
     tolerance: float = 3e-5,
 ) -> PerezFits:
-    r"""A, B, C, D, E of each sky that minimise $\sum_d w_d^2 (L_z F(\theta_d, \gamma_d) / (F(0, \theta_s) L_d) - 1)^2$.
+    r"""Fit A to E of each sky, minimising $\sum_d w_d^2 (L_z F(\theta_d, \gamma_d) / (F(0, \theta_s) L_d) - 1)^2$.
 
-    Levenberg-Marquardt with Marquardt's damping on 64 skies side by side, each place taken by the next sky when one
-    has ended, so that no sky waits for the slowest. The unknowns are such that the zenith's value cancels:
+    Levenberg-Marquardt with Marquardt's damping runs on 64 skies side by side. When one has finished, the next takes
+    its place, so that no sky waits for the slowest. The unknowns are chosen so that the zenith value cancels:
     $L / L_z = (1 + a (e^{B (1/\cos\theta - 1)} - 1)) (1 + c (e^{D\gamma} - e^{D\theta_s}) +
     e (\cos^2\gamma - \cos^2\theta_s))$ with $a = 1 - e^{-u_0}$, $B = -e^{u_1}$, $D = -e^{u_3}$. The loop is in single
-    precision, a last Gauss-Newton step in that of the arguments. The derivatives by the arguments, forward and reverse,
-    are those of the minimum (implicit function theorem with the whole Hessian), 0 where `converged` is False.
+    precision, the last Gauss-Newton step in the precision of the arguments. The derivatives by the arguments, forward
+    and reverse, are those of the minimum (implicit function theorem with the full Hessian), 0 if `converged` is False.
 
     **Arguments:** `light` and `zenith_light`, one unit, positive; `theta` view zenith angle, `gamma` angle from the
-    sun, `theta_sun` the sun's zenith angle, radians; `weight` of each direction, 0 where the light is not to be
-    looked at; `start` A-E with B, D < 0 and $A e^B > -1$; `max_steps`, evaluations of a sky; `tolerance`, the relative
-    decrease of the cost at which a sky ends.
+    sun, `theta_sun` the sun's zenith angle, radians; `weight` of each direction, 0 to ignore it; `start` A-E with
+    B, D < 0 and $A e^B > -1$; `max_steps`, the largest number of evaluations for a sky; `tolerance`, the relative
+    decrease of the cost at which the fit of a sky ends.
     **Returns:** `PerezFits`.
-    **Valid:** a sky that somewhere with weight has light or an angle that is not usable (NaN, 0, negative, less than
-    1e-12 of the zenith's) comes back as the start with infinite cost; the others do not see it. Some skies, most with
-    the sun within 25 degrees of the zenith, have several minima, and which is found depends on the start
-    (`experiments/benchmarks/perez_fits.py` counts them); skies that darken to the horizon want one with A > 0. Where
-    the best form has F(0, theta_s) near zero the coefficients are huge; their `Perez.ratio` still is the fit.
-    **Errors:** `ValueError` for no sky and for a `start` out of range.
+    **Valid:** if a direction with nonzero weight has unusable light or angle (NaN, 0, negative, less than 1e-12 of the
+    zenith's), its sky returns the start with infinite cost; other skies are not affected. Some skies, most with the sun
+    within 25 degrees of the zenith, have several minima, and the one found depends on the start
+    (`experiments/benchmarks/perez_fits.py` counts them); skies that darken to the horizon need a start with A > 0. If
+    the best form has F(0, theta_s) near zero the coefficients are huge; their `Perez.ratio` is still the fit.
+    **Errors:** `ValueError` if there is no sky or `start` is out of range.
     **Source:** Perez et al. 1993 eq. 1; Marquardt 1963, J. SIAM 11, 431.
 
     **Example:**
@@ -150,10 +151,10 @@ def _fit(light, zenith_light, theta, gamma, theta_sun, weight, start, max_steps,
 
 
 def _usable(light, zenith_light, gamma, sun, known_place, weight) -> tuple[_Skies, Bool[Array, " sky"]]:
-    """The skies with harmless numbers in place of what cannot be used, and which are usable."""
+    """The skies with harmless numbers in place of unusable ones, and a mask of the usable skies."""
     at_zenith = jnp.isfinite(zenith_light) & (zenith_light > 0.0)
     zenith_light = jnp.where(at_zenith, zenith_light, 1.0)[:, None]
-    # a NaN is neither above nor below
+    # NaN fails both comparisons
     known = (light > zenith_light / _LARGEST_RATIO) & (light < jnp.inf) & jnp.isfinite(gamma) & known_place[None]
     usable = at_zenith & jnp.isfinite(sun) & jnp.all(known | (weight == 0.0)[None], axis=1)
     known = known & usable[:, None]
@@ -167,7 +168,7 @@ def _away_from_zero(value):
 
 
 def _unbounded(coefficients, sun):
-    """The unknowns of A-E for each sun, `[sky, 5]`."""
+    """The unknowns that correspond to A-E for each sun, `[sky, 5]`."""
     a, b, c, d, e = coefficients
     at_zenith = _away_from_zero(1.0 + c * jnp.exp(d * sun) + e * jnp.square(jnp.cos(sun)))
     same = jnp.ones_like(sun)
@@ -178,7 +179,7 @@ def _unbounded(coefficients, sun):
 
 
 def _bounded(point, sun):
-    """A-E of the unknowns, `[sky, 5]`."""
+    """A-E from the unknowns, `[sky, 5]`."""
     u, steepness, c, width, e = point.T
     steepness, width = jnp.exp(steepness), jnp.exp(width)
     rest = _away_from_zero(1.0 - c * jnp.exp(-width * sun) - e * jnp.square(jnp.cos(sun)))
@@ -187,10 +188,10 @@ def _bounded(point, sun):
 
 
 def _columns(point, skies: _Skies, slant, weight):
-    """The Jacobian by the five unknowns and, last, the residual, `[sky, 6, direction]`."""
+    """The Jacobian by the five unknowns, followed by the residual, `[sky, 6, direction]`."""
     u, steepness, c, width, e = (point[:, k, None] for k in range(5))
     b, d, sun = -jnp.exp(steepness), -jnp.exp(width), skies.sun[:, None]
-    # far below the smallest float nothing is left to lose
+    # Values below exp(-80) are negligible
     horizon = jnp.exp(jnp.maximum(b * slant[None], -80.0))
     here, there = jnp.exp(d * skies.gamma), jnp.exp(d * sun)
     square = skies.square - jnp.square(jnp.cos(sun))
@@ -213,18 +214,18 @@ def _columns(point, skies: _Skies, slant, weight):
 
 
 def _products(columns):
-    """Curvature, slope and cost in one matrix: the products of all columns, `[sky, 6, 6]`."""
+    """Approximate Hessian, gradient and cost in one matrix: the products of all columns, `[sky, 6, 6]`."""
     return jax.lax.dot_general(columns, columns, (((2,), (2,)), ((0,), (0,))), precision="highest")
 
 
 def _solve(matrix, right):
-    """Solutions of small symmetric systems by their LDL factors, written out for all skies at once, `[sky, n]`."""
+    """Solutions of small symmetric systems by LDL factorisation, elementwise over all skies, `[sky, n]`."""
     n = matrix.shape[-1]
     lower: list[list] = [[None] * n for _ in range(n)]
     pivot, result = [], []
     for j in range(n):
         left = sum((lower[j][k] ** 2 * pivot[k] for k in range(j)), 0.0)
-        # less is rounding; an unknown without any influence stays where it is
+        # A smaller pivot is rounding error; an unknown without influence does not move
         smallest = jnp.maximum(jnp.finfo(matrix.dtype).eps * jnp.abs(matrix[:, j, j]), 1e-30)
         pivot.append(jnp.maximum(matrix[:, j, j] - left, smallest))
         for i in range(j + 1, n):
@@ -238,25 +239,25 @@ def _solve(matrix, right):
 
 
 def _longest(step):
-    """Of the steps of the logarithms, `[sky]`."""
+    """The largest absolute step of the logarithms u0, u1 and u3, `[sky]`."""
     return jnp.max(jnp.abs(step[:, jnp.array([0, 1, 3])]), axis=1)
 
 
 def _iterate(skies: _Skies, slant, weight, first, max_steps: int, tolerance: float):
-    """Points, evaluations and whether it converged, of each sky."""
+    """The final point, number of evaluations and convergence flag of each sky."""
     count = first.shape[0]
     lanes = min(_LANES, count)
-    # whole vectors of directions: the processor would take those that are left over one by one
+    # Pad to whole vectors of directions: the processor would treat a remainder one by one
     left_over = (0, -weight.shape[0] % _VECTOR)
     ratio, gamma, square = (jnp.pad(v, ((0, 0), left_over)) for v in skies[:3])
     skies = _Skies(ratio, gamma, square, skies.sun)
     slant, weight = jnp.pad(slant, left_over), jnp.pad(weight, left_over)
-    # below that a cost is rounding
+    # A cost below this is rounding error
     nothing = jnp.sum(jnp.square(_ROUNDING * weight))
 
     def turn(lane: _Lanes) -> _Lanes:
         trial = lane.point + lane.step
-        # a lane for which no sky is left has the number after the last: it reads the last and writes nowhere
+        # A lane without a sky has the index `count`: it reads the last sky and writes nothing
         at = jax.tree.map(lambda v: v.at[lane.sky].get(mode="clip"), skies)
         products = _products(_columns(trial, at, slant, weight))
         cost = products[:, 5, 5]
@@ -274,7 +275,7 @@ def _iterate(skies: _Skies, slant, weight, first, max_steps: int, tolerance: flo
         little = tolerance * cost + nothing
         flat = (lane.cost - cost <= little) & (-jnp.sum(step * slope, axis=1) <= little) & (damping < _LITTLE_DAMPING)
         converged = ~begins & (flat | (damping > _MOST_DAMPING))
-        # a start without a finite cost leads nowhere
+        # A start without finite cost cannot be improved
         done = converged | (lane.count + 1 >= max_steps) | jnp.isinf(cost)
         sky = jnp.where(done, jnp.minimum(lane.following + jnp.cumsum(done) - 1, count), lane.sky)
         return _Lanes(
@@ -305,7 +306,7 @@ def _iterate(skies: _Skies, slant, weight, first, max_steps: int, tolerance: flo
 
 
 def _last_step(point, skies: _Skies, slant, weight):
-    """Points and costs after a step of Gauss-Newton in the precision of the arguments, taken where it helps."""
+    """Points and costs after a Gauss-Newton step in the precision of the arguments, kept if it lowers the cost."""
     count = point.shape[0]
     lanes = min(_LANES, count)
 
@@ -314,7 +315,7 @@ def _last_step(point, skies: _Skies, slant, weight):
         point, data = points[sky], jax.tree.map(lambda v: v[sky], skies)
         products = _products(_columns(point, data, slant, weight))
         step = -_solve(products[:, :5, :5], products[:, :5, 5])
-        # where the valley is flat a whole step may lead far out
+        # In a flat valley a full step may lead far away
         step = jnp.where((_longest(step) < _LONGEST_STEP)[:, None], step, 0.0)
         cost = jnp.sum(jnp.square(_columns(point + step, data, slant, weight)[:, 5]), axis=1)
         better = cost < products[:, 5, 5]
@@ -322,8 +323,8 @@ def _last_step(point, skies: _Skies, slant, weight):
         costs = costs.at[sky].set(jnp.where(better, cost, products[:, 5, 5]))
         return jnp.minimum(sky + lanes, count - 1), points, costs
 
-    # few skies at a time stay in the processor's cache; with their numbers carried along XLA makes vectors of the
-    # directions, which it does not if they are computed from the turn's
+    # A few skies at a time stay in the processor's cache. XLA vectorises over directions if the sky indices are carried
+    # along, but not if they are computed from the iteration number
     begin = jnp.arange(lanes), point, jnp.zeros_like(point[:, 0])
     _, point, cost = jax.lax.fori_loop(0, -(-count // lanes), turn, begin)
     return point, cost
@@ -331,7 +332,7 @@ def _last_step(point, skies: _Skies, slant, weight):
 
 @jax.custom_jvp
 def _minimum(point, cost, settled, skies: _Skies, slant, weight):
-    """Point and cost with the derivatives of the minimum, where the slope stays 0, in skies that are at one."""
+    """Point and cost, with the derivatives of the minimum (where the gradient stays 0) in skies that have settled."""
     return point, cost
 
 
@@ -345,7 +346,7 @@ def _minimum_jvp(primals, tangents):
         return jnp.sum(columns[:, :5] * columns[:, 5:], axis=2), jnp.sum(jnp.square(columns[:, 5]), axis=1)
 
     def along(one):
-        # of all skies at once: no sky's slope knows the point of another
+        # For all skies at once: no sky's gradient depends on another sky's point
         return jax.jvp(lambda p: slope_and_cost(p, *data)[0], (point,), (jnp.broadcast_to(one, point.shape),))[1]
 
     _, (drift, rise) = jax.jvp(lambda *data: slope_and_cost(point, *data), tuple(data), tuple(moving))

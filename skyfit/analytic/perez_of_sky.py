@@ -1,4 +1,4 @@
-"""Perez' five parameters of measured skies, one fit for each time, with their covariance."""
+"""Perez' five parameters fitted to measured skies, one fit for each time, with covariance."""
 
 from dataclasses import dataclass
 
@@ -15,31 +15,31 @@ from .perez_fits import CLEAR_SKY
 COEFFICIENTS = (
     "horizon_darkening", "horizon_gradient", "circumsolar_intensity", "circumsolar_width", "backscatter",
 )  # fmt: skip
-# A-E where searches begin: a clear sky, a dark horizon and a bright one with a narrow and with a wide glow; the
-# best end counts
+# Initial A-E of the searches: a clear sky, a dark horizon, and a bright horizon with a narrow and with a wide
+# circumsolar region. The search with the lowest cost is kept
 _STARTS = (CLEAR_SKY, (4.0, -0.7, 0.5, -1.5, 0.1), (-1.0, -0.3, 10.0, -3.0, 0.45), (-0.9, -0.5, 2.0, -0.8, 0.1))
-# of ln(-B) and ln(-D): beyond them a whole family of coefficients is the same sky (as `fit_perez` has it)
+# Bounds of ln(-B) and ln(-D); beyond them many coefficients give the same sky (as in `fit_perez`)
 _LOWEST, _STEEPEST = np.array([-5.0, -5.0]), np.array([3.0, 5.0])
 _EDGE = 1e-3
-# relative: below it eigenvalues of the curvature are rounding
+# Relative size below which eigenvalues of the curvature are rounding errors
 _ROUNDING = 1e-13
-# nm; the eye sees little beyond
+# Wavelengths needed for luminance, nm; the eye sees little beyond
 _VISIBLE = (400.0, 700.0)
 
 
 @dataclass(frozen=True, eq=False)
 class SkyPerez:
-    """Perez' distribution of each time of a sky, of each kind of light.
+    """Perez' distributions fitted to a sky, for each time and each kind of light.
 
     **Arguments**
 
-    - `sky`: what was fitted; `light`: names of the kinds of light, "luminance", wavelengths or channels
+    - `sky`: the fitted sky; `light`: names of the kinds of light, "luminance", wavelengths or channels
     - `coefficients`: A to E in the order of `COEFFICIENTS`, `[time, light, 5]`; `covariance` `[time, light, 5, 5]`,
       inf on the diagonal where they are not determined
-    - `zenith`, `zenith_sigma`: the light at the zenith by the fit, cd m^-2 of a luminance, else in the unit of the sky
-    - `rmse`: of the residuals, relative; `directions`: how many were fitted
-    - `settled`: whether the search ended at a minimum inside its bounds, with directions enough; NaN in the rest where
-      there were not
+    - `zenith`, `zenith_sigma`: the fitted light at the zenith, in cd m^-2 for luminance, else in the unit of the sky
+    - `rmse`: root mean square of the relative residuals; `directions`: the number of fitted directions
+    - `settled`: whether the search ended at a minimum inside its bounds with enough directions. With too few directions
+      the fitted values are NaN
     """
 
     sky: Sky
@@ -59,18 +59,18 @@ class SkyPerez:
 
 
 def perez_of_sky(sky: Sky, each: bool = False) -> SkyPerez:
-    r"""A to E and the level k of each time that minimise $\sum_d (k F(\theta_d, \gamma_d) / L_d - 1)^2$.
+    r"""Fit A to E and the level k for each time, minimising $\sum_d (k F(\theta_d, \gamma_d) / L_d - 1)^2$.
 
-    The zenith need not be measured, unlike for `fit_perez`, which takes its light as exact. The covariance is
+    The zenith need not be measured, unlike in `fit_perez`, which treats its light as exact. The covariance is
     $s^2 (J^T J)^{-1}$ with the residuals' variance $s^2$ on n - 6 degrees of freedom.
 
-    **Arguments:** `sky`, measured or simulated; `each`: every wavelength or channel by itself, also where luminance can
-    be told.
-    **Returns:** `SkyPerez`, of luminance where the sky has it: a channel that is luminance, or spectral radiance over
-    400-700 nm, in directions where no wavelength is missing; else of every wavelength or channel.
-    **Valid:** seven directions or more above the horizon. Directions count as independent: where the form itself does
-    not fit, residuals are alike over broad parts and sigma is too small. Of several minima the best of four searches
-    is taken.
+    **Arguments:** `sky`, measured or simulated; `each`: fit every wavelength or channel separately even if luminance is
+    available.
+    **Returns:** `SkyPerez`, for luminance if the sky has it: a channel that is luminance, or spectral radiance over
+    400-700 nm, in directions where no wavelength is missing. Otherwise for every wavelength or channel.
+    **Valid:** at least seven directions above the horizon. Directions count as independent. Where Perez' form does not
+    fit, residuals are correlated over large parts of the sky and sigma is too small. If there are several minima, the
+    best of four searches is used.
     **Source:** Perez et al. 1993 eq. 1.
 
     **Example:**
@@ -113,7 +113,7 @@ def perez_of_sky(sky: Sky, each: bool = False) -> SkyPerez:
 
 
 def _light(sky: Sky, each: bool) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
-    """Names of the kinds of light, their values and which can be used, `[time, direction, light]`."""
+    """Names of the kinds of light, their values and a mask of the usable ones, `[time, direction, light]`."""
     own, positive = sky.wavelength_nm, sky.usable & (np.nan_to_num(sky.radiance) > 0.0)
     if sky.response is not None:
         names = ("luminance",) if sky.response.by_unit and len(own) == 1 else sky.response.names
@@ -128,7 +128,7 @@ def _light(sky: Sky, each: bool) -> tuple[tuple[str, ...], np.ndarray, np.ndarra
 
 
 def _search(light, secant, gamma) -> tuple[Float[np.ndarray, " parameter"], bool]:
-    """ln k and A to E of the best search, and whether it ended inside the bounds."""
+    """ln k and A to E of the best search, and whether it succeeded inside the bounds."""
     from scipy.optimize import least_squares
 
     low, high = np.full(6, -np.inf), np.full(6, np.inf)
@@ -169,7 +169,7 @@ def _search(light, secant, gamma) -> tuple[Float[np.ndarray, " parameter"], bool
 
 
 def _linearised(point, light, secant, gamma):
-    """The Jacobian of the relative residuals by ln k and A to E, `[direction, 6]`, and the residuals."""
+    """The Jacobian of the relative residuals by ln k and A to E, `[direction, 6]`, and the residuals themselves."""
     level, a, b, c, d, e = point
     horizon = np.exp(np.minimum(b * secant, LARGEST_EXPONENT))
     glow = np.exp(np.minimum(d * gamma, LARGEST_EXPONENT))
@@ -181,13 +181,13 @@ def _linearised(point, light, secant, gamma):
 
 
 def _at_zenith(point, sun: float):
-    """The light at the zenith, and its slopes by ln k and A to E."""
+    """The light at the zenith and its derivatives by ln k and A to E."""
     columns, residual = _linearised(point, np.ones(1), np.ones(1), np.full(1, sun))
     return float(residual[0]) + 1.0, columns[0]
 
 
 def _covariance(columns, residual):
-    """Of ln k and A to E, with inf on the diagonal of all that takes part in what is not determined."""
+    """Covariance of ln k and A to E, with inf on the diagonal of all parameters in an undetermined combination."""
     curvature = columns.T @ columns
     unit = 1.0 / np.sqrt(np.maximum(np.diagonal(curvature), 1e-300))
     values, vectors = np.linalg.eigh(curvature * unit[:, None] * unit)

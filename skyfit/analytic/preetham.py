@@ -1,4 +1,4 @@
-"""The analytic daylight of Preetham, Shirley and Smits 1999, for any set of its coefficients."""
+"""The analytic daylight model of Preetham, Shirley and Smits 1999, with any set of coefficients."""
 
 import math
 from typing import Literal
@@ -17,15 +17,15 @@ LARGEST_CHI = 1.5  # rad; the published angle stays below 4 pi / 9 = 1.396 for a
 
 
 class Preetham(AbstractAnalyticSky):
-    """Luminance and chromaticity of a clear sky by turbidity and the sun's zenith angle.
+    """Luminance and chromaticity of a clear sky as functions of turbidity and the sun's zenith angle.
 
     `distribution` `[Y x y, A B C D E, slope constant]`: Perez coefficients, linear in turbidity.
     `zenith_luminance` `[tangent offset angle, slope constant]`, each linear in turbidity, the first
     two in kcd m^-2. `zenith_chromaticity` `[x y, T^2 T 1, cube square linear constant]` in the
-    sun's zenith angle in radians. `lowest_turbidity` is where `check_range` raises, `fitted_turbidity` and `lowest_sun`
-    (zenith angle, radians) the range beyond which `valid` is False: they belong to the coefficients, so a refit brings
-    its own. Outside the range all is finite and worthless: with the published numbers Y has a pole at turbidity 1.643
-    and most of the sky is negative below.
+    sun's zenith angle in radians. `check_range` raises below `lowest_turbidity`. `valid` is False outside
+    `fitted_turbidity` and beyond `lowest_sun` (zenith angle, radians). These limits belong to the coefficients, so a
+    refit has its own. Outside the range the results are finite but meaningless: the published Y has a pole at turbidity
+    1.643, and below it most of the sky is negative.
 
     **Source:** Preetham 1999 A.2. The fit there is to simulations of turbidity 2 to 6.
 
@@ -45,10 +45,11 @@ class Preetham(AbstractAnalyticSky):
 
     @classmethod
     def published(cls, digits: Literal[4, 5] = 4) -> "Preetham":
-        """The coefficients of the paper (A.2), rounded as it prints them, or with the fifth decimal of public code.
+        """The coefficients of the paper (A.2), as printed, or with the fifth decimal of public code.
 
-        **Arguments:** `digits` after the point. The paper's four leave luminance within 0.05 % of five, but x of the
-        zenith, where rounding is multiplied by T^2 and the cube of the sun's angle, up to 6 % off at T = 8.
+        **Arguments:** `digits` after the point. With four digits the luminance agrees with that of five within 0.05 %,
+        but x at the zenith, where rounding is multiplied by T^2 and the cube of the sun's angle, differs by up to 6 %
+        at T = 8.
         **Source:** data/preetham_*.csv say whose each digit is.
         """
         if digits not in (4, 5):
@@ -75,7 +76,7 @@ class Preetham(AbstractAnalyticSky):
         """The distributions of luminance Y and of chromaticity x and y, the same for every sun.
 
         **Arguments:** `turbidity`, dimensionless; `theta_sun` is not used.
-        **Returns:** three `Perez`, for Y, x, y. **Valid, source:** as the class.
+        **Returns:** three `Perez`, for Y, x, y. **Valid, source:** as for the class.
         """
         coefficients = self.distribution[..., 0] * turbidity + self.distribution[..., 1]
         luminance, x, y = (Perez.from_coefficients(row) for row in coefficients)
@@ -87,12 +88,12 @@ class Preetham(AbstractAnalyticSky):
         r"""Luminance and chromaticity of the zenith.
 
         $Y_z = 1000 [(4.0453 T - 4.9710) \tan\chi - 0.2155 T + 2.4192]$,
-        $\chi = (4/9 - T/120)(\pi - 2\theta_s)$; x and y: cubics in $\theta_s$, squares in T.
+        $\chi = (4/9 - T/120)(\pi - 2\theta_s)$; x and y: cubic in $\theta_s$, quadratic in T.
 
         **Arguments:** `turbidity`; `theta_sun`, the sun's zenith angle in radians.
         **Returns:** Y_z in cd m^-2 (the paper's formula is in kcd m^-2), x_z, y_z.
-        **Valid:** `valid`; outside, the formula goes on and is finite, with chi kept within +-1.5,
-        but Y_z turns negative (sun well below the horizon, or low at T > 11.2).
+        **Valid:** where `valid` is True. Outside, the formula is finite, with chi limited to +-1.5, but Y_z may be
+        negative (sun well below the horizon, or low at T > 11.2).
         **Source:** Preetham 1999 A.2.
         """
         slope, constant = self.zenith_luminance[:, 0], self.zenith_luminance[:, 1]
@@ -105,11 +106,11 @@ class Preetham(AbstractAnalyticSky):
         return 1000.0 * (tangent * jnp.tan(chi) + offset), x, y
 
     def check_range(self, turbidity, sun_zenith) -> None:
-        """Raises `ValueError` where the model has no answer; for concrete values, outside jit.
+        """Raise `ValueError` outside the model's range; for concrete values, outside jit.
 
         **Arguments:** `turbidity`; `sun_zenith` radians; numbers or arrays.
         **Valid:** turbidity >= `lowest_turbidity` and the sun at or above the horizon. Beyond
-        `fitted_turbidity` and `lowest_sun` the model extrapolates: no error here, but `valid` says False.
+        `fitted_turbidity` and `lowest_sun` the model extrapolates: no error here, but `valid` is False.
         """
         low = np.atleast_1d(np.asarray(turbidity, dtype=np.float64))
         bad = ~(np.isfinite(low) & (low >= self.lowest_turbidity))
@@ -131,5 +132,5 @@ class Preetham(AbstractAnalyticSky):
         turbidity, sun = jnp.asarray(turbidity), jnp.asarray(sun_zenith)
         luminance, _, _ = self.zenith(turbidity, sun)
         fitted = (turbidity >= low) & (turbidity <= high)
-        # float32 of an angle may be beyond it
+        # Rounding to float32 may move an angle beyond the limit
         return fitted & (sun >= 0.0) & (sun <= self.lowest_sun + 1e-6) & (luminance > 0.0)

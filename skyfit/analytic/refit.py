@@ -27,28 +27,28 @@ from .preetham import Preetham
 
 
 Form = Literal["linear", "extended"]
-# twelve suns and five turbidities, as in Preetham 1999, sec. 3.2; he does not say which suns
+# Twelve suns and five turbidities, as in Preetham 1999, sec. 3.2; the paper does not say which suns
 SUN_ZENITH_DEG = tuple(np.linspace(0.0, 82.5, 12).tolist())
 TURBIDITY = (2.0, 3.0, 4.0, 5.0, 6.0)
-# to twilight and from pure air, denser where the sky changes faster
+# The grid of the extended form, to twilight and from pure air, denser where the sky changes faster
 EXTENDED_SUN_ZENITH_DEG = (
     0.0, 10.0, 20.0, 30.0, 38.0, 46.0, 53.0, 60.0, 65.0, 70.0, 74.0, 77.0, 80.0, 82.0, 84.0, 85.5, 87.0, 88.0, 89.0,
     90.0, 91.0, 92.0,
 )  # fmt: skip
 EXTENDED_TURBIDITY = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.5, 8.0, 10.0)
 WAVELENGTH_NM = tuple(np.arange(380.0, 781.0, 10.0).tolist())
-# the fit sees directions to here; the error is stated to 80 degrees of view and 85 of the sun
+# Largest view zenith angle of the fit; errors are stated for views to 80 degrees and suns to 85 degrees
 _FITTED_ZENITH = np.radians(85.0)
 _STATED_ZENITH = np.radians(80.0)
 _STATED_SUN = np.radians(85.0)
 _SMALLEST_SUNS, _SMALLEST_TURBIDITIES = 4, 3
-# A-E where the fits of a sky's chromaticities start: Preetham 1999, A.2 near T = 3
+# Initial A-E for the fits of a sky's chromaticities: Preetham 1999, A.2 near T = 3
 _COLOUR_OF_SKY = (-0.3, -0.2, 0.2, -1.1, 0.03)
 
 
 class Errors(NamedTuple):
-    """Of one model over skies and directions: median and 95th percentile of the luminance's relative error, median
-    distance in chromaticity (x, y)."""
+    """Errors of one model over skies and directions: median and 95th percentile of the relative luminance error, and
+    median distance in chromaticity (x, y)."""
 
     luminance: float
     luminance_95: float
@@ -57,13 +57,13 @@ class Errors(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Analytic models beside simulated skies; host-side arrays.
+    """Comparison of analytic models with simulated skies; host-side arrays.
 
-    `simulated` is XYZ in cd m^-2 `[sky, direction, 3]`. For "published", "refitted" and "best five" (the Perez formula
-    fitted to one sky, what it can do at all) `luminance_error` and `luminance_95` hold the median and 95th percentile
-    of the relative error of each sky over directions to view zenith 80 degrees `[sky]`, `chromaticity_error` the median
-    distance of (x, y); NaN where the published formula has no answer. `overall` are the errors over all those
-    directions of all skies with the sun to 85 degrees, `rest` those of all other directions and skies.
+    `simulated` is XYZ in cd m^-2 `[sky, direction, 3]`. The models are "published", "refitted" and "best five" (the
+    Perez formula fitted to each sky alone, the best it can do). For each model and sky, over directions to view zenith
+    80 degrees, `luminance_error` and `luminance_95` `[sky]` hold the median and 95th percentile of the relative error,
+    and `chromaticity_error` the median distance of (x, y); NaN where a model is not valid. `overall` holds the errors
+    over all those directions and all skies with the sun to 85 degrees, `rest` those of all other directions and skies.
     """
 
     sun_zenith: np.ndarray
@@ -78,10 +78,10 @@ class Comparison:
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """Refitted coefficients beside the published ones, and what each is worth.
+    """Refitted and published coefficients, and the errors of both.
 
-    `fitted` are the skies of the fit, `held_out` random others of the same range; `view`, the directions of both, ends
-    with the zenith. `result` says how the joint fit of Y, x and y ended.
+    `fitted` compares them on the skies of the fit, `held_out` on random other skies of the same range. `view`, the
+    directions of both, ends with the zenith. `result` tells how the joint fits of Y, x and y ended.
     """
 
     refitted: Preetham | ExtendedPreetham
@@ -93,7 +93,7 @@ class Refit:
 
 
 def preetham_atmosphere(turbidity) -> Atmosphere:
-    """Haze with Bullrich's phase function, as the paper simulated, in skyfit's default air and ozone."""
+    """Haze with Bullrich's phase function, as in the paper's simulations, with skyfit's default air and ozone."""
     return Atmosphere.from_turbidity(turbidity, phase=Tabulated.bullrich())
 
 
@@ -108,20 +108,20 @@ def refit(
     held_out: int = 60,
     progress: Callable[[int, int], None] | None = None,
 ) -> Refit:
-    """Coefficients of Preetham's model for skies simulated here, beside the published ones.
+    """Refit Preetham's coefficients to simulated skies and compare them with the published ones.
 
-    Each sky is simulated, five Perez parameters are fitted to it, then all coefficients to all skies.
+    It simulates each sky, fits five Perez parameters to it, then fits all coefficients to all skies.
 
     **Arguments:** `solver`, default `OrdersOfScattering.normal()`; `atmosphere(turbidity)`, traced; the suns
     (degrees) and turbidities, all combinations; `directions` over the sky; `form`: "linear" in turbidity as published
-    (`Preetham`), or "extended" (`ExtendedPreetham`); `flat_below_deg`, where given: the solver's flat geometry for
-    views and suns nearer to the zenith than that, as the paper did with 70; `held_out`, how many random skies of the
-    range (seeded) it is tested on; `progress(done, of)` by stages. Left out, suns, turbidities and atmosphere are
-    those of the paper for "linear" (Bullrich's haze), and for "extended" the range of `ExtendedPreetham` in
-    `Atmosphere.from_turbidity`.
+    (`Preetham`), or "extended" (`ExtendedPreetham`); `flat_below_deg`: if given, the solver's flat geometry is used if
+    view and sun are both closer to the zenith than this, as the paper did with 70; `held_out`, the number of random
+    (seeded) test skies in the range; `progress(done, of)`, called after each stage. By default suns, turbidities and
+    atmosphere are those of the paper for "linear" (Bullrich's haze), and for "extended" the range of
+    `ExtendedPreetham` in `Atmosphere.from_turbidity`.
     **Returns:** `Refit`. **Valid:** sun zenith below 90 degrees; "extended": to 92.
-    **Errors:** `ValueError` for suns or turbidities that are too few or out of range, for suns that the solver does not
-    know, and for skies that it leaves without light.
+    **Errors:** `ValueError` if there are too few suns or turbidities, if they are out of range, if the solver cannot
+    simulate these suns, or if a simulated sky has no light.
     **Source:** Preetham 1999, sec. 3.2 and A.2; the relative error is what is minimised.
 
     **Example:**
@@ -195,7 +195,7 @@ def refit(
 
 
 def model_xyz(model: AbstractAnalyticSky, view: Directions, skies: Comparison) -> np.ndarray:
-    """XYZ (cd m^-2) of an analytic model in the skies of a comparison, `[sky, direction, 3]`."""
+    """XYZ (cd m^-2) of an analytic model for the skies of a comparison, `[sky, direction, 3]`."""
     sun = as_float(skies.sun_zenith)
     gamma = angle_between(view.zenith[None], sun[:, None], view.azimuth[None])
     luminance, x, y = _evaluate(model, view.zenith, gamma, sun, as_float(skies.turbidity))
@@ -221,9 +221,9 @@ def _check_grids(suns, hazes, linear: bool) -> None:
 
 
 def _check_solver(solver: AbstractSolver, lowest_deg: float) -> None:
-    """A `ValueError` unless the solver knows all suns of a fit."""
+    """Raise `ValueError` unless the solver's range covers all suns of a fit."""
     known = solver.suns.largest_deg
-    # streams on a sphere go on into twilight
+    # Solvers with streams on a sphere work into twilight
     if solver.geometry == "spherical" and isinstance(solver, OrdersOfScattering | DoubleScattering):
         known = max(known, SUN_ZENITH_RANGE_DEG[1])
     if lowest_deg > known:
@@ -234,7 +234,7 @@ def _check_solver(solver: AbstractSolver, lowest_deg: float) -> None:
 
 
 def _check_lit(skies: np.ndarray, solver: AbstractSolver, sun: np.ndarray, turbidity: np.ndarray) -> None:
-    """A `ValueError` for a simulated sky of which nothing can be fitted, before the fits."""
+    """Raise `ValueError` before the fits if a simulated sky has light that is not positive and finite everywhere."""
     bad = ~np.all(np.isfinite(skies) & (skies > 0.0), axis=(1, 2))
     if bad.any():
         raise ValueError(
@@ -245,7 +245,7 @@ def _check_lit(skies: np.ndarray, solver: AbstractSolver, sun: np.ndarray, turbi
 
 @eqx.filter_jit
 def _simulate(solver, flat, atmosphere, view, limit, sun, turbidity):
-    """XYZ of each sky, one after another, all wavelengths of a sky at once, `[sky, direction, 3]`."""
+    """XYZ of each sky, `[sky, direction, 3]`: skies one after another, all wavelengths of a sky at once."""
 
     def sky(case):
         sun_zenith, haze = case
@@ -262,7 +262,7 @@ def _simulate(solver, flat, atmosphere, view, limit, sun, turbidity):
 
 
 class _Simulated(NamedTuple):
-    """Simulated skies as the fits see them; `target` luminance, x and y."""
+    """Simulated skies in the form the fits need; `target` is luminance, x and y."""
 
     xyz: np.ndarray
     target: Float[Array, "quantity sky direction"]
@@ -285,7 +285,7 @@ class _Simulated(NamedTuple):
 
 
 def _best_five(skies: _Simulated) -> list:
-    """A-E of Y, x and y of each sky alone, `[sky, 5]` each."""
+    """A-E of Y, x and y fitted to each sky alone, `[sky, 5]` each."""
     found = []
     for q, target in enumerate(skies.target):
         start = CLEAR_SKY if q == 0 else _COLOUR_OF_SKY
@@ -298,7 +298,7 @@ def _best_five(skies: _Simulated) -> list:
 
 @eqx.filter_jit
 def _evaluate(model: AbstractAnalyticSky, zenith, gamma, sun, turbidity):
-    """Luminance, x and y of an analytic model in every sky, `[quantity, sky, direction]`."""
+    """Luminance, x and y of an analytic model for every sky, `[quantity, sky, direction]`."""
     one = jax.vmap(lambda t, s, g: jnp.stack(model.luminance_chromaticity(t, s, zenith, g)))
     return jnp.moveaxis(one(turbidity, sun, gamma), 1, 0)
 

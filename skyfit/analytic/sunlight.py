@@ -1,4 +1,4 @@
-"""Sunlight at the ground: the sun behind air, haze, ozone, mixed gases and water vapour."""
+"""Direct sunlight at the ground, attenuated by air, haze, ozone, mixed gases and water vapour."""
 
 import math
 from typing import NamedTuple
@@ -13,16 +13,17 @@ from ..numerics import as_float, check_radians, check_wavelength, Ranged, within
 from ..scene import LOWEST_VISIBLE, relative_airmass, Scene
 
 
-# nm, the range of the absorption coefficients; inside 380-780 they are the paper's
+# Range of the absorption coefficients, nm; from 380 to 780 nm they are the paper's
 _SHORTEST, _LONGEST = 300.0, 1100.0
-# m; more of them is another unit: 1000 Dobson units, and three times the tropics' water
+# Largest amounts, m: 1000 Dobson units, and three times the water vapour of the tropics. Larger numbers are probably
+# in another unit
 _MOST_OZONE, _MOST_WATER = 0.01, 0.2
-# beta is 0 at 0.9952
+# beta is 0 at turbidity 0.9952
 _LOWEST_TURBIDITY = 0.995
 
 
 class Transmittances(NamedTuple):
-    """What each constituent lets through of the sun's beam, dimensionless, `[wavelength]` each."""
+    """Transmittance of the direct beam for each constituent, dimensionless, `[wavelength]` each."""
 
     rayleigh: Float[Array, " wavelength"]
     aerosol: Float[Array, " wavelength"]
@@ -31,25 +32,25 @@ class Transmittances(NamedTuple):
     water_vapour: Float[Array, " wavelength"]
 
     def product(self) -> Float[Array, " wavelength"]:
-        """What all of them together let through."""
+        """The transmittance of all constituents together."""
         return self.rayleigh * self.aerosol * self.ozone * self.mixed_gases * self.water_vapour
 
 
 class Sunlight(Ranged):
-    r"""The sun seen from the ground at sea level through a haze of given turbidity.
+    r"""Direct sunlight at sea level through haze of a given turbidity.
 
     `turbidity`, dimensionless, >= 1; `angstrom_exponent` of the haze; `ozone`, m at NTP (0.0035 m are 350 Dobson
     units); `water_vapour`, m of precipitable water. With airmass m and wavelength in um the factors are
     $e^{-0.008735\,\lambda^{-4.08} m}$, $e^{-\beta\lambda^{-\alpha} m}$, $e^{-k_o l m}$,
     $e^{-1.41 k_g m / (1 + 118.93 k_g m)^{0.45}}$, $e^{-0.2385 k_w w m / (1 + 20.07 k_w w m)^{0.45}}$.
 
-    **Valid:** turbidity from 1, ozone to 0.01 m, water to 0.2 m, else `ValueError` (traced ones: negative amounts count
-    as none). 300 to 1100 nm, else `ValueError`; traced wavelengths beyond have the coefficients of the ends. From
-    380 to 780 nm the coefficients are the paper's, where a gap means no absorption; it has none outside, where
-    those of SPECTRL2 continue them. Both are Leckner's, but the paper lacks oxygen's band at 687 nm and smooths that
-    at 762 nm. The sun at or above the horizon; observer at sea level.
+    **Valid:** turbidity from 0.995, ozone to 0.01 m, water to 0.2 m, else `ValueError`; traced values are not checked,
+    and negative water counts as 0. 300 to 1100 nm, else `ValueError`; traced wavelengths beyond get the coefficients at
+    the ends. From 380 to 780 nm the coefficients are the paper's, where a gap means no absorption; outside, they are
+    those of SPECTRL2. Both are Leckner's, but the paper lacks oxygen's band at 687 nm and smooths that at 762 nm. The
+    sun is at or above the horizon and the observer at sea level.
     The paper found luminance and chromaticity at turbidity 2 within 2 % of Wyszecki & Stiles' sun, whose numbers were
-    not at hand; the direct beam of ASTM G173 with its own haze and gases is met to 1.3 %
+    not at hand. The direct beam of ASTM G173, with its own haze and gases, is reproduced within 1.3 %
     (experiments/validation/sunlight.py).
     **Source:** Preetham 1999, A.1 and Table 2, after Iqbal 1983 (Leckner 1978). The paper prints the airmass inside
     the exponents of the wavelength ($\lambda^{-4.08 m}$), against Bouguer's law. 300-380 and 780-1100 nm: Bird &
@@ -72,10 +73,10 @@ class Sunlight(Ranged):
     def factors(
         self, theta_sun: Float[ArrayLike, ""], wavelength_nm: Float[ArrayLike, " wavelength"]
     ) -> Transmittances:
-        """What each constituent lets through.
+        """The transmittance of each constituent.
 
         **Arguments:** `theta_sun`, the sun's zenith angle in radians; `wavelength_nm` `[wavelength]`.
-        **Returns:** `Transmittances`. **Valid, source:** as the class; below the horizon the airmass is the horizon's.
+        **Returns:** `Transmittances`. **Valid, source:** as for the class; below the horizon the airmass is that at it.
         """
         wavelength_nm = as_float(wavelength_nm)
         check_radians("theta_sun", theta_sun, 0.0, math.pi)
@@ -102,14 +103,14 @@ class Sunlight(Ranged):
     def transmittance(
         self, theta_sun: Float[ArrayLike, ""], wavelength_nm: Float[ArrayLike, " wavelength"]
     ) -> Float[Array, " wavelength"]:
-        """What all constituents together let through; arguments, range and source as `factors`."""
+        """The transmittance of all constituents together; arguments, range and source as for `factors`."""
         return self.factors(theta_sun, wavelength_nm).product()
 
     def irradiance(self, scene: Scene) -> Float[Array, " wavelength"]:
-        """Of the direct beam at the ground, on a plane normal to it, W m^-2 nm^-1.
+        """Irradiance of the direct beam at the ground, on a plane normal to it, W m^-2 nm^-1.
 
-        **Arguments:** `scene`; its observer on the ground, else `ValueError`.
-        **Returns:** `[wavelength]`. **Valid:** as the class; 0 with the sun below the horizon.
+        **Arguments:** `scene`, with the observer on the ground, else `ValueError`.
+        **Returns:** `[wavelength]`. **Valid:** as for the class; 0 if the sun is below the horizon.
         """
         if scene.height is not None:
             raise ValueError("`height` of the scene must be None for Sunlight: it knows the observer at sea level only")
@@ -117,7 +118,7 @@ class Sunlight(Ranged):
         return jnp.where(jnp.cos(scene.sun_zenith) > LOWEST_VISIBLE, light, 0.0)
 
     def radiance(self, scene: Scene) -> Float[Array, " wavelength"]:
-        """Of the sun's disc, its mean, W m^-2 sr^-1 nm^-1: `irradiance` over the disc's 6.794e-5 sr at 1 au.
+        """Mean radiance of the sun's disc, W m^-2 sr^-1 nm^-1: `irradiance` over the disc's 6.794e-5 sr at 1 au.
 
         **Arguments, valid:** as `irradiance`. **Returns:** `[wavelength]`.
         """
@@ -126,6 +127,6 @@ class Sunlight(Ranged):
 
 def _band(amount, saturation):
     r"""An absorption band that saturates, $x / (1 + s x)^{0.45}$; Leckner 1978."""
-    # a negative amount is no power of a negative base
+    # Without this a negative amount would take the logarithm of a negative number
     amount = jnp.where(amount < 0.0, 0.0, amount)
     return amount * jnp.exp(-0.45 * jnp.log1p(saturation * amount))

@@ -16,7 +16,7 @@ class Aerosol(AbstractConstituent):
     r"""Aerosol with optical depth $\tau_{550} e^{-\alpha x + \gamma x^2}$, $x = \ln(\lambda/550)$.
 
     `optical_depth` at 550 nm, 0 to 1000; `angstrom_exponent` alpha, -2 to 6; `single_scattering_albedo` at 550 nm in
-    [0, 1] and its slope per unit of x; `phase`; `profile`; `angstrom_curvature` gamma, -3 to 3, -0.5 of fine smoke.
+    [0, 1] and its slope per unit of x; `phase`; `profile`; `angstrom_curvature` gamma, -3 to 3 (fine smoke has -0.5).
     Source: Angstrom 1929; gamma: Eck et al. 1999, J. Geophys. Res. 104, 31333. Scale height 1.2 km: Preetham 1999,
     A.4 (0.8333 /km).
 

@@ -1,4 +1,4 @@
-"""The atmosphere: named constituents and the ground; every parameter of a sky is a leaf of it."""
+"""The atmosphere: named constituents and the ground. Every parameter of a sky is a leaf of this tree."""
 
 from dataclasses import fields
 from typing import Any
@@ -17,16 +17,16 @@ from .rayleigh import Rayleigh
 from .turbidity import Relation, turbidity_to_optical_depth
 
 
-# nm, the red edge of green vegetation: its middle and the width of its logistic curve (10 to 90 % in 53 nm). Horler et
-# al. 1983, Int. J. Remote Sens. 4, 273: leaves have it at 700 to 725 nm
+# Red edge of green vegetation, nm: the middle and the width of a logistic curve (10 to 90 % in 53 nm). Horler et al.
+# 1983, Int. J. Remote Sens. 4, 273: leaves have the edge at 700 to 725 nm
 _RED_EDGE, _RED_EDGE_WIDTH = 716.0, 12.0
 
 
 class Ground(Ranged):
-    """A Lambertian ground: `albedo` at 550 nm in [0, 1], its slope per unit of ln(wavelength / 550 nm).
+    """A Lambertian ground: `albedo` at 550 nm in [0, 1] and its slope per unit of ln(wavelength / 550 nm).
 
-    `red_edge`, how much more of the near infrared than of the red it reflects: 0.3 to 0.5 of green vegetation, for
-    bare ground 0. `albedo` may also be given per wavelength of the scene, `[wavelength]`.
+    `red_edge` is the near-infrared albedo minus the red albedo: 0.3 to 0.5 for green vegetation, 0 for bare ground.
+    `albedo` may also be an array over the wavelengths of the scene, `[wavelength]`.
 
     **Example:**
 
@@ -49,16 +49,16 @@ class Ground(Ranged):
 
 
 class Atmosphere(eqx.Module):
-    """Named constituents in an order, and the ground under them; what is not there costs nothing.
+    """An ordered set of named constituents over a ground. An absent constituent costs nothing.
 
-    `Atmosphere(aerosol=Aerosol(0.1), dust=Aerosol(0.02, profile=Levels.elterman_1968()), no2=Gas(...))`: after the
-    three familiar ones any number by names of one's own. `rayleigh`, the air, and `ozone` are there if nothing is said;
-    None leaves one out. Each may be any `AbstractConstituent`, a `Prescribed` one for instance; where a solver treats
-    air apart (`Shells`), air is what stands under the name rayleigh.
+    Example: `Atmosphere(aerosol=Aerosol(0.1), dust=Aerosol(0.02, profile=Levels.elterman_1968()), no2=Gas(...))`.
+    Beside `rayleigh`, `aerosol` and `ozone` you may add any number of constituents under your own names. `rayleigh`
+    (the air) and `ozone` are present by default; None removes them. Each may be any `AbstractConstituent`, for instance
+    a `Prescribed` one. A solver that treats air separately (`Shells`) takes the constituent named rayleigh for the air.
 
-    `atmosphere.dust` or `atmosphere["dust"]` is a constituent, `"dust" in atmosphere` whether there is one; `replace`
-    makes another atmosphere. `names` and `constituents` are in one order: rayleigh, aerosol, ozone, then the others as
-    they were given.
+    `atmosphere.dust` or `atmosphere["dust"]` reads a constituent, `"dust" in atmosphere` tells whether it exists, and
+    `replace` makes another atmosphere. `names` and `constituents` have the same order: rayleigh, aerosol, ozone, then
+    the others as given.
 
     **Example:**
 
@@ -82,7 +82,7 @@ class Atmosphere(eqx.Module):
         ground: Ground | type[Ground] = Ground,
         **more: AbstractConstituent | None,
     ):
-        # what is usual is made here, in the float type of the process by now
+        # The defaults are made here, so that they have the float type the process uses now
         made = {
             "rayleigh": Rayleigh() if rayleigh is Rayleigh else rayleigh,
             "aerosol": aerosol,
@@ -102,7 +102,7 @@ class Atmosphere(eqx.Module):
 
     @classmethod
     def from_optical_depth(cls, optical_depth, **aerosol) -> "Atmosphere":
-        """Air at sea level, 300 DU of ozone, ground albedo 0.1 and haze of this optical depth at 550 nm.
+        """Sea-level air, 300 DU of ozone, ground albedo 0.1 and haze of the given optical depth at 550 nm.
 
         **Arguments:** `optical_depth`, 0 to 1000, may be traced; the other fields of `Aerosol` by name.
         **Returns:** an `Atmosphere`.
@@ -111,14 +111,14 @@ class Atmosphere(eqx.Module):
 
     @classmethod
     def from_turbidity(cls, turbidity, relation: Relation = "definition", **aerosol) -> "Atmosphere":
-        """As `from_optical_depth`, with the haze given by Preetham's turbidity at 550 nm (>= 1).
+        """Like `from_optical_depth`, but Preetham's turbidity at 550 nm (>= 1) gives the haze.
 
         `relation` as in `turbidity_to_optical_depth`.
         """
         return cls.from_optical_depth(turbidity_to_optical_depth(turbidity, relation), **aerosol)
 
     def replace(self, /, *, ground: Ground | None = None, **constituents: AbstractConstituent | None) -> "Atmosphere":
-        """This atmosphere with constituents replaced, added or, where None, left out, and with another ground."""
+        """A copy with the given constituents replaced, added or (None) removed, and optionally with another ground."""
         parts = {"rayleigh": None, "ozone": None} | dict(zip(self.names, self.constituents, strict=True)) | constituents
         return Atmosphere(ground=self.ground if ground is None else ground, **parts)
 
@@ -131,7 +131,7 @@ class Atmosphere(eqx.Module):
         return self.constituents[self.names.index(name)]
 
     def __getattr__(self, name: str) -> Any:
-        # a field that is not set yet, or what Python and JAX ask for of themselves
+        # A field that is not set yet, or a name that Python or JAX looks up by itself
         if name.startswith("_") or name in ("names", "constituents", "ground"):
             raise AttributeError(name)
         if name not in self.names:
@@ -142,11 +142,11 @@ class Atmosphere(eqx.Module):
         return f"this atmosphere has no `{name}`, only {', '.join(self.names) or 'its ground'}"
 
     def check_wavelengths(self, wavelength_nm) -> None:
-        """A `ValueError` for wavelengths at which a constituent is not known; traced ones pass."""
+        """Raise `ValueError` for wavelengths outside the range of a constituent; traced wavelengths pass."""
         for constituent in self.constituents:
             constituent.check_wavelengths(wavelength_nm)
 
     @property
     def smooth_in_wavelength(self) -> bool:
-        """Whether all optics may be asked for between the scene's wavelengths."""
+        """Whether all optics can be evaluated between the scene's wavelengths."""
         return self.ground.albedo.ndim == 0 and all(c.smooth_in_wavelength for c in self.constituents)

@@ -1,4 +1,4 @@
-"""A constituent of the atmosphere: a column, what it scatters and absorbs, and where it lies."""
+"""A constituent of the atmosphere: its optical depth, single scattering albedo, phase function and profile."""
 
 from abc import abstractmethod
 from typing import ClassVar
@@ -14,22 +14,22 @@ from .profile import AbstractProfile, Layered
 
 
 class AbstractConstituent(Ranged):
-    """Something in the air. `phase` is None where it only absorbs."""
+    """A constituent of the air. `phase` is None if it only absorbs."""
 
     phase: eqx.AbstractVar[AbstractPhase | None]
     profile: eqx.AbstractVar[AbstractProfile]
-    # whether the optics may be asked for at wavelengths other than the scene's
+    # Whether the optics can be evaluated at wavelengths other than the scene's
     smooth_in_wavelength: eqx.AbstractClassVar[bool]
-    # whether coarse streams see within a per cent what it changes from one wavelength to the next
+    # Whether a solution with few streams follows the constituent's change with wavelength within a per cent
     factors_out: ClassVar[bool] = True
 
     @property
     @abstractmethod
     def known_nm(self) -> tuple[float, float]:
-        """Where the optics are known, nm: beyond, wavelengths that are not traced are refused."""
+        """The valid wavelengths of the optics, nm. Concrete wavelengths beyond are a `ValueError`."""
 
     def check_wavelengths(self, wavelength_nm) -> None:
-        """A `ValueError` for wavelengths at which the optics or the phase function are not known; traced ones pass."""
+        """Raise `ValueError` for wavelengths outside the range of the optics or of the phase; traced ones pass."""
         for part in (self, self.phase):
             if part is not None:
                 check_wavelength(wavelength_nm, *part.known_nm, f"all that {type(part).__name__} knows")
@@ -44,10 +44,10 @@ class AbstractConstituent(Ranged):
 
 
 class Prescribed(AbstractConstituent):
-    """A constituent whose optical depth and albedo are given at the scene's own wavelengths.
+    """A constituent whose optical depth and single scattering albedo are given at the scene's own wavelengths.
 
     `optical_depth` `[wavelength]`, vertical extinction, >= 0; `single_scattering_albedo` `[wavelength]`
-    or a scalar; `phase` (None: absorbs only) and `profile`. Stands in any place of an `Atmosphere`.
+    or a scalar; `phase` (None: absorbs only) and `profile`. May stand under any name of an `Atmosphere`.
 
     **Example:**
 
@@ -76,15 +76,15 @@ class Prescribed(AbstractConstituent):
         phase: AbstractPhase | None = None,
         single_scattering_albedo=1.0,
     ) -> tuple["Prescribed", ...]:
-        """Homogeneous layers whose optical depths are given one by one, as models of the atmosphere are exchanged.
+        """Constituents from a table of optical depths of homogeneous layers, the format atmosphere models exchange.
 
-        A profile is the same at all wavelengths. Layers that share the column otherwise at each of them are as many
-        constituents as wavelengths, each there at its own alone: exact, in every solver.
+        One profile holds for all wavelengths. Layers whose shares of the column vary with wavelength therefore become
+        one constituent for each wavelength, with an optical depth of 0 at all others. This is exact in every solver.
 
         **Arguments:** `edges` of the layers, m, increasing from 0, one more than layers; `optical_depth`
         `[layer, wavelength]`, vertical extinction, at the scene's own wavelengths, may be traced; `phase` and
         `single_scattering_albedo` as above.
-        **Returns:** the constituents; one, where there is one wavelength. They have no names yet:
+        **Returns:** the constituents, one for each wavelength. You name them, for example:
         `Atmosphere(None, None, None, **{f"air_{i}": part for i, part in enumerate(parts)})`.
         """
         depth = as_float(optical_depth)
@@ -94,7 +94,7 @@ class Prescribed(AbstractConstituent):
                 f"got {depth.shape} and {np.shape(edges)}"
             )
         total, alone = jnp.sum(depth, axis=0), np.eye(depth.shape[1])
-        # of a column that is empty any shape will do
+        # An empty column may have any profile
         shares = jnp.where(total[None] > 0.0, depth, 1.0)
         return tuple(
             cls(total * alone[i], Layered(edges, shares[:, i]), phase, single_scattering_albedo)

@@ -1,7 +1,7 @@
-"""An atmosphere as a plain block of names, numbers and lists, and back: what a JSON or TOML file holds.
+"""Conversion between an `Atmosphere` and a plain block of names, numbers and lists, as in a JSON or TOML file.
 
     constituents
-      NAME            in the order of the atmosphere; what is not listed is not there
+      NAME            in the order of the atmosphere; a constituent that is not listed is absent
         kind          "Rayleigh", "Aerosol", "TwoModeAerosol", "BinnedAerosol", "Droplets", "Gas", "Ozone" or
                       "Prescribed"
         ...           the fields of that class by name, in its units; arrays are lists
@@ -9,7 +9,7 @@
         profile       kind: "Exponential", "OzoneLayer", "Layered" or "Levels"; then its fields
     ground            albedo, albedo_slope, red_edge
 
-What a block leaves out is as the class has it if nothing is said; without `constituents` they are those of
+A field that a block leaves out has the default of its class. A block without `constituents` has those of
 `Atmosphere()`.
 """
 
@@ -54,10 +54,10 @@ _REGISTRIES = {AbstractConstituent: CONSTITUENTS, AbstractPhase: PHASES, Abstrac
 
 
 def describe(atmosphere: Atmosphere) -> dict[str, Any]:
-    """The block of an atmosphere, in Python's own types.
+    """The block of an atmosphere, in built-in Python types.
 
-    **Arguments:** `atmosphere`, not traced. **Returns:** names, kinds, settings and every number; a class that is in
-    no registry has its module's name before its own, and cannot be read back.
+    **Arguments:** `atmosphere`, not traced. **Returns:** names, kinds, settings and every number. The kind of a class
+    that is in no registry includes its module's name; such a block cannot be read back.
     """
     named = zip(atmosphere.names, atmosphere.constituents, strict=True)
     return {"constituents": {name: _block(c) for name, c in named}, "ground": _block(atmosphere.ground)}
@@ -82,18 +82,18 @@ def _block(thing: eqx.Module) -> dict[str, Any]:
 
 
 def _plain(values):
-    """Numbers with as few digits as their float type tells apart."""
+    """Numbers as Python floats with the fewest digits that identify them in their float type."""
     if np.ndim(values):
         return [_plain(row) for row in values]
-    # `str` would follow NumPy's print options, which other packages set
+    # `str` would depend on NumPy's print options, which other packages set
     return float(np.format_float_scientific(values[()], unique=True))
 
 
 def from_description(block: dict[str, Any], key: str = "") -> Atmosphere:
-    """The atmosphere of a block, in the process's default float type.
+    """The atmosphere that a block describes, in the process's default float type.
 
-    **Arguments:** `block`, as `describe` makes it or by hand; `key`, where the block stands in its file, for errors.
-    **Returns:** an `Atmosphere`. **Errors:** a one-line `ValueError` that names the first key that cannot be.
+    **Arguments:** `block`, made by `describe` or by hand; `key`, the block's position in its file, for error messages.
+    **Returns:** an `Atmosphere`. **Errors:** a one-line `ValueError` that names the first invalid key.
     """
     _check_keys(block, ("constituents", "ground"), key)
     parts: dict[str, Any] = {}
@@ -114,7 +114,7 @@ def from_description(block: dict[str, Any], key: str = "") -> Atmosphere:
 
 
 def _built(block: Any, kind: type, key: str) -> Any:
-    """What a block says of a class, or of one that its `kind` names in the registry of that class."""
+    """The object that a block describes: of class `kind`, or of the subclass that the block's own `kind` names."""
     registry = _REGISTRIES.get(kind)
     _check_keys(block, None, key)
     if registry is not None:
@@ -156,7 +156,7 @@ def _value(value: Any, field: Field, key: str, sizes: dict[str, tuple[str, int]]
 
 
 def _array(value: Any, axes: list[str], key: str, sizes: dict[str, tuple[str, int]]) -> Any:
-    """Numbers in nested lists of the axes; an axis with a star may be missing. Axes of one name have one size."""
+    """An array from nested lists, one level per axis. A starred axis is optional. Axes of one name have one size."""
     if axes and axes[0].startswith("*"):
         axes = [axes[0][1:]] if isinstance(value, list) else []
     _check_numbers(value, axes, key)
@@ -175,7 +175,7 @@ def _check_numbers(value: Any, axes: list[str], key: str) -> None:
             _check_numbers(row, axes[1:], f"{key}[{i}]")
             if len(axes) > 1 and len(row) != len(value[0]):
                 raise ValueError(f"key `{key}[{i}]`: expected {len(value[0])} numbers, found {len(row)}")
-    # neither a flag nor what the float type does not hold
+    # Excludes booleans and numbers that overflow the float type
     elif type(value) not in (int, float) or not abs(value) <= float(np.finfo(as_float(0.0).dtype).max):
         raise ValueError(f"key `{key}`: expected a number, found {_shown(value)}")
 

@@ -18,10 +18,10 @@ class Droplets(AbstractConstituent):
     r"""Droplets of one density from the ground to `thickness`: $\tau = \beta_{550}\, h\, Q(\lambda) / Q(550)$.
 
     `coefficient`, extinction at 550 nm, 0 to 10 m^-1; `thickness` h, 0.1 m to 100 km; `efficiency` Q `[band]` at
-    `table_wavelength_nm` `[band]`, linear between; `phase`; `single_scattering_albedo`.
-    Stands in any place of an `Atmosphere`.
+    `table_wavelength_nm` `[band]`, interpolated linearly; `phase`; `single_scattering_albedo`.
+    May stand under any name of an `Atmosphere`.
 
-    **Valid:** within the table; other wavelengths are a `ValueError`, traced ones have the end's value.
+    **Valid:** within the table. Other wavelengths are a `ValueError`; traced ones get the value at the table's end.
     **Source:** Klassen 1987, sec. 10 and 11: fog 0.015 to 0.040 m^-1, of uniform density; Q of Mie theory.
 
     **Example:**
@@ -41,7 +41,7 @@ class Droplets(AbstractConstituent):
 
     @property
     def known_nm(self) -> tuple[float, float]:
-        """Where the table is known, nm."""
+        """The wavelength range of the table, nm."""
         return table_range(self.table_wavelength_nm)
 
     def __check_init__(self):
@@ -51,10 +51,10 @@ class Droplets(AbstractConstituent):
     def fog(cls, coefficient=0.02, thickness=100.0, phase: AbstractPhase | None = None) -> "Droplets":
         """Fog: droplets of 4.5 micrometres, lognormal with a geometric standard deviation of 1.4.
 
-        **Arguments:** `coefficient` in m^-1, `thickness` in m; `phase`, None for the tabulated one, whose forward
-        peak is 20 degrees wide: a Henyey-Greenstein function of 0.85 stands for it where moments are few.
-        **Valid:** 300 to 1100 nm: drops that are large beside the wavelength have nearly one efficiency, and that of
-        400 and of 700 nm, the ends of the table, stands for all beyond.
+        **Arguments:** `coefficient` in m^-1, `thickness` in m; `phase`, None for the tabulated function. Its forward
+        peak is 20 degrees wide; with few moments a Henyey-Greenstein function of g = 0.85 can replace it.
+        **Valid:** 300 to 1100 nm. The efficiency of drops much larger than the wavelength hardly varies, so the
+        values at the ends of the table (400 and 700 nm) hold beyond them.
         """
         return cls._of_kind("fog", coefficient, thickness, phase)
 
@@ -73,7 +73,7 @@ class Droplets(AbstractConstituent):
         nm, efficiency = means["wavelength_nm"], means[f"{kind}_efficiency"]
         if kind == "fog":
             nm, efficiency = held(nm, efficiency)
-        # pyright takes the inherited, abstract `profile` for an argument
+        # pyright mistakes the inherited, abstract `profile` for an argument
         return cls(  # pyright: ignore[reportCallIssue]
             coefficient=coefficient,
             thickness=thickness,
@@ -103,8 +103,8 @@ class Droplets(AbstractConstituent):
 def droplet_phase(kind: str) -> Tabulated:
     """The tabulated phase function of a kind of droplets.
 
-    **Arguments:** `kind`, "fog" or "wet_haze". **Returns:** `Tabulated`, 400 to 700 nm; fog's to 300 and 1100 nm by the
-    values of these ends.
+    **Arguments:** `kind`, "fog" or "wet_haze". **Returns:** `Tabulated`, 400 to 700 nm. For fog the end values hold to
+    300 and 1100 nm.
     **Source:** Mie theory, Hale & Querry's water; data/droplets.csv.
     """
     table = read_table("droplets.csv")

@@ -15,23 +15,23 @@ from .phase import TABLE_WAVELENGTHS
 from .profile import AbstractProfile, OzoneLayer
 
 
-# Dobson units in one metre at 0 C and 1013.25 mb: one is 10 micrometres
+# Dobson units in a layer of one metre at 0 C and 1013.25 mb; one Dobson unit is 10 micrometres
 DOBSON_PER_METRE = 1e5
-# Loschmidt's number, CODATA 2018: 2.686780111e25 molecules m^-3 at 0 C and 1013.25 mb, times 10 micrometres, in cm^-2
+# Molecules per cm^2 in a Dobson unit: Loschmidt's number, CODATA 2018, 2.686780111e25 m^-3 at 0 C and 1013.25 mb, times
+# 10 micrometres
 MOLECULES_PER_DOBSON = 2.686780111e16
-# metres in a centimetre
 _M_PER_CM = 0.01
 
 
 class AbstractGas(AbstractConstituent):
-    r"""A gas by Bouguer's law, $\tau(\lambda) = k(\lambda)\, u$, with the column u in its `unit`."""
+    r"""A gas that follows Bouguer's law, $\tau(\lambda) = k(\lambda)\, u$, with the column u in `unit`."""
 
     column: eqx.AbstractVar[Float[Array, ""]]
     unit: eqx.AbstractVar[str]
 
     @abstractmethod
     def absorption(self, wavelength_nm: Float[Array, " wavelength"]) -> Float[Array, " wavelength"]:
-        """The vertical optical depth of one unit of the column."""
+        """The vertical optical depth per unit of the column."""
 
     def optical_depth_at(self, wavelength_nm):
         self.check_wavelengths(wavelength_nm)
@@ -42,13 +42,13 @@ class AbstractGas(AbstractConstituent):
 
 
 class Gas(AbstractGas):
-    """A gas by a table of its absorption, linear in between.
+    """A gas given by a table of its absorption, interpolated linearly.
 
     `column` in `unit`, >= 0; `table_wavelength_nm` `[band]`, increasing; `absorption_per_unit` `[band]`, the vertical
-    optical depth of one unit of the column, >= 0; `profile`; `unit`, Dobson units ("DU") if nothing is said.
+    optical depth per unit of the column, >= 0; `profile`; `unit`, by default Dobson units ("DU").
 
-    **Valid:** within the table, and beyond an end whose value is 0, where the gas does not absorb; other wavelengths
-    are a `ValueError`, traced ones have the end's value.
+    **Valid:** within the table, and beyond an end where the absorption is 0. Other wavelengths are a `ValueError`;
+    traced ones get the value at the table's end.
 
     **Example:**
 
@@ -69,7 +69,7 @@ class Gas(AbstractGas):
 
     @property
     def known_nm(self) -> tuple[float, float]:
-        """Where the table is known, nm."""
+        """The wavelength range of the table, nm, open at an end where the absorption is 0."""
         return table_range(self.table_wavelength_nm, self.absorption_per_unit)
 
     def __check_init__(self):
@@ -82,7 +82,7 @@ class Gas(AbstractGas):
 
     @classmethod
     def from_cross_section(cls, column, table_wavelength_nm, cross_section, profile: AbstractProfile) -> "Gas":
-        """A gas by the cross section of its molecules, as spectroscopists tabulate it.
+        """A gas from the absorption cross section of its molecules.
 
         **Arguments:** `column` in Dobson units (2.687e16 molecules cm^-2); `cross_section` `[band]`, cm^2 a molecule,
         at `table_wavelength_nm` `[band]`; `profile`. **Returns:** a `Gas` with `unit` "DU".
@@ -105,8 +105,8 @@ class Ozone(AbstractGas):
     `column` in Dobson units, 0 to 1000; `profile`; `table` "spectrl2" (default) or "preetham". The coefficient is
     interpolated in a 5-10 nm table, so the fine structure of the Huggins bands below 340 nm is smoothed.
 
-    **Valid:** from 300 nm; shorter wavelengths, whose Hartley band is up to 40 times as strong, are a `ValueError`
-    (traced ones have the value of 300 nm): `Gas.from_cross_section` takes a measured cross section.
+    **Valid:** from 300 nm. Shorter wavelengths are a `ValueError`, because the Hartley band is up to 40 times stronger
+    there; traced ones get the value at 300 nm. For the Hartley band use `Gas.from_cross_section`.
 
     **Source:** Bird & Riordan 1986 (Leckner 1978), as shipped by pvlib; see data/spectrl2_absorption.csv. "preetham":
     Preetham 1999, Table 2, from 380 to 780 nm, where a gap is no absorption; it too is Leckner's and has the rows of
@@ -128,7 +128,7 @@ class Ozone(AbstractGas):
 
     @property
     def known_nm(self) -> tuple[float, float]:
-        """Where the table is known, nm."""
+        """The wavelength range of the table, nm, open at an end where the absorption is 0."""
         return table_range(*self._table)
 
     def __check_init__(self):
@@ -137,7 +137,7 @@ class Ozone(AbstractGas):
 
     @property
     def _table(self) -> tuple[Float[np.ndarray, " band"], Float[np.ndarray, " band"]]:
-        """Wavelengths, nm, and the absorption of a Dobson unit there."""
+        """Wavelengths, nm, and the absorption per Dobson unit."""
         if self.table == "preetham":
             nm, per_metre = preetham_absorption("ozone_absorption")
             return nm, per_metre / DOBSON_PER_METRE
@@ -150,10 +150,10 @@ class Ozone(AbstractGas):
 
 
 def preetham_absorption(name: str) -> tuple[Float[np.ndarray, " band"], Float[np.ndarray, " band"]]:
-    """Leckner's coefficients as Preetham prints them from 380 to 780 nm, and as SPECTRL2 has them beyond.
+    """Leckner's absorption coefficients, from Preetham's table at 380 to 780 nm and from SPECTRL2 beyond.
 
     **Arguments:** `name`, "ozone_absorption" or "water_absorption", per metre, or "mixed_gas_absorption".
-    **Returns:** wavelengths in nm and the coefficients there; a gap in the paper is no absorption.
+    **Returns:** wavelengths in nm and the coefficients there; a gap in the paper counts as 0.
     **Source:** Preetham 1999, Table 2; Bird & Riordan 1986, Table 1, which has the first two per cm.
     """
     paper, beyond = read_table("preetham_table2_spectra.csv"), read_table("spectrl2_absorption.csv")

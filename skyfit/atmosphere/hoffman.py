@@ -11,30 +11,30 @@ from .phase import HenyeyGreenstein
 from .profile import Exponential
 
 
-# in the order of the table
+# Kinds of haze, in the order of the table's rows
 _KINDS = ("light haze", "heavy haze", "light fog", "heavy fog")
-# nm, the article's sample wavelengths of red, green and blue
+# The article's sample wavelengths for red, green and blue, nm
 HOFFMAN_WAVELENGTHS = (650.0, 570.0, 475.0)
-# m, optical length of haze straight up
+# Vertical optical length of haze, m
 _LENGTH = 1250.0
-# m^-1, the article's range of the haze's absorption
+# Largest absorption coefficient of haze in the article, m^-1
 _MOST_ABSORPTION = 5e-5
 
 
 def hoffman_haze(
     kind: str, wavelength_nm: Float[ArrayLike, " wavelength"], absorption: float | Float[Array, ""] = 0.0
 ) -> Prescribed:
-    r"""Haze or fog of the article's table, 1.25 km of it, to stand as an `Atmosphere`'s aerosol.
+    r"""Haze or fog from the article's table, with a scale height of 1.25 km, as an aerosol for an `Atmosphere`.
 
-    The scattering coefficient is a power of the wavelength between 650, 570 and 475 nm, and beyond them, from 300 to
-    1100 nm; other wavelengths are a `ValueError`.
+    The scattering coefficient follows a power law between 475, 570 and 650 nm. The power laws of the outer intervals
+    extend to 300 and 1100 nm; other wavelengths are a `ValueError`.
 
     **Arguments:** `kind`, "light haze", "heavy haze", "light fog" or "heavy fog"; `wavelength_nm` of the
     scene, `[wavelength]`; `absorption` coefficient, m^-1, grey.
     **Returns:** a `Prescribed` constituent.
-    **Valid:** `absorption` 0 to 5e-5 /m, else `ValueError` (a traced value is taken as it is). Its g is positive
-    and below one (data/hoffman_haze.csv): the printed -1, -3, -10, -30 are no asymmetry parameters, and the printed
-    numerator (1 - g)^2 does not integrate to one.
+    **Valid:** `absorption` 0 to 5e-5 /m, else `ValueError` (a traced value is not checked). The g used here is between
+    0 and 1 (data/hoffman_haze.csv): the printed -1, -3, -10, -30 are not asymmetry parameters, and with the printed
+    numerator (1 - g)^2 the phase function does not integrate to one.
     **Source:** Hoffman & Preetham 2002, Table 1 and Sunlight.
 
     **Example:**

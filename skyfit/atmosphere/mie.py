@@ -1,4 +1,4 @@
-r"""Aerosol of spheres in two modes of size, a fine and a coarse one, by Mie's theory."""
+r"""Aerosol of spheres in two size modes, fine and coarse, by Mie theory."""
 
 from typing import ClassVar
 
@@ -15,7 +15,7 @@ from .sphere_kernels import AbstractSpherePhase, class_weights, KNOWN_N, KNOWN_N
 
 
 class _Modes(eqx.Module):
-    """What the optics of two modes follow from; the fields are those of `TwoModeAerosol`."""
+    """The parameters of a `TwoModeAerosol` that determine its optics."""
 
     fine_fraction: Float[Array, ""]
     fine_radius: Float[Array, ""]
@@ -31,38 +31,39 @@ class _Modes(eqx.Module):
 
     @property
     def shares(self) -> Float[Array, " mode"]:
-        """Of the optical depth at 550 nm."""
+        """The share of each mode in the optical depth at 550 nm."""
         fine = jnp.clip(self.fine_fraction, 0.0, 1.0)
         return jnp.stack([fine, 1.0 - fine])
 
     def size_weights(self, wavelength_nm) -> Float[Array, "mode wavelength class"]:
-        """The classes' shares of each mode's volume."""
+        """The share of each size class in each mode's volume."""
         radius = jnp.stack([self.fine_radius, self.coarse_radius])
         return class_weights(radius, jnp.stack([self.fine_width, self.coarse_width]), wavelength_nm)
 
     def volumes(self, efficiencies) -> Float[Array, " mode"]:
-        """Volume of each mode for unit optical depth of both at 550 nm, um^3 over um^2."""
+        """Volume of each mode for a total optical depth of 1 at 550 nm, um^3/um^2."""
         reference = jnp.full((1,), REFERENCE_WAVELENGTH, jnp.result_type(self.refractive_index))
         extinction = self.size_weights(reference)[:, 0] @ efficiencies[0]
         return self.shares * (1e-3 * REFERENCE_WAVELENGTH) / extinction
 
     def classes(self, wavelength_nm, efficiencies) -> Float[Array, "wavelength class"]:
-        """Volume in each size class for unit optical depth at 550 nm, um^3 over um^2."""
+        """Volume in each size class for an optical depth of 1 at 550 nm, um^3/um^2."""
         volumes = self.volumes(efficiencies)
         return jnp.sum(volumes[:, None, None] * self.size_weights(wavelength_nm), axis=0)
 
     def depths(self, wavelength_nm) -> Float[Array, "quantity wavelength"]:
-        """Optical depths of extinction and of scattering for unit optical depth at 550 nm."""
+        """Extinction and scattering optical depth for an extinction optical depth of 1 at 550 nm."""
         efficiencies = self.kernels.efficiencies()
         classes = self.classes(wavelength_nm, efficiencies)
         return efficiencies @ classes.T / (1e-3 * wavelength_nm)[None]
 
 
 class TwoModePhase(AbstractSpherePhase):
-    """Phase function and scattering matrix of a `TwoModeAerosol`, whose property `phase` makes it.
+    """Phase function and scattering matrix of a `TwoModeAerosol`, made by its property `phase`.
 
-    Cubic in between the tabulated angles, normalised by its own integral.
-    **Valid:** as there; the diffraction peak of size parameters over some 500 is cut off within 0.1 degrees of the sun.
+    It is cubic between the tabulated angles and normalised by its own integral.
+    **Valid:** as `TwoModeAerosol`; for size parameters above about 500 the diffraction peak is cut off within 0.1
+    degrees of the sun.
     """
 
     modes: _Modes
@@ -75,17 +76,17 @@ class TwoModePhase(AbstractSpherePhase):
 class TwoModeAerosol(AbstractConstituent):
     r"""Homogeneous spheres, $dV/d\ln r = \sum_m V_m N(\ln r; \ln r_m, \sigma_m)$, m a fine and a coarse mode.
 
-    `optical_depth` at 550 nm, >= 0, of both modes; `fine_fraction`, share of it that is the fine mode's, in [0, 1];
-    `fine_radius` and `coarse_radius`, medians of the volume distribution in micrometres, the field's unit;
+    `optical_depth` at 550 nm, >= 0, of both modes together; `fine_fraction`, the fine mode's share of it, in [0, 1];
+    `fine_radius` and `coarse_radius`, medians of the volume distribution in micrometres;
     `fine_width` and `coarse_width`, $\sigma = \ln \sigma_g$; `refractive_index` n and `absorption_index` k >= 0 of
-    n + i k, the same for both modes and all wavelengths; `profile`. What an `Aerosol` is given, its Angstrom exponent,
-    albedo and phase function, follows here. Stands in any place of an `Atmosphere`.
+    n + i k, the same for both modes and all wavelengths; `profile`. The Angstrom exponent, single scattering albedo and
+    phase function, which an `Aerosol` takes as parameters, follow from these. May stand under any name of an
+    `Atmosphere`.
 
     **Valid:** 300 to 1100 nm; radii of 0.05 to 0.5 and 0.8 to 6 um; widths of 0.3 to 0.9; n of 1.33 to 1.60; k to 0.1.
-    Concrete values outside are a `ValueError`. Of traced ones, beyond those of n and k, and under a width of 0.25, the
-    end value holds with slope 0; far beyond those of the radius over the wavelength slopes die away. F34 is left out.
-    Dust is not made of spheres: behind 90 degrees from the sun its phase function and polarisation are other than
-    these.
+    Concrete values outside are a `ValueError`. For traced n, k and widths below 0.25 the end value holds with slope 0.
+    Far outside the tabulated range of radius over wavelength the slopes go to 0. F34 is neglected.
+    Dust is not made of spheres: beyond 90 degrees from the sun its phase function and polarisation differ from these.
 
     **Source:** Mie theory, experiments/tables/make_mie_tables.py. Two modes and one index as in Dubovik & King 2000,
     J. Geophys. Res. 105, 20673. Defaults: Dubovik et al. 2002, J. Atmos. Sci. 59, 590, Table 1, urban-industrial
@@ -129,7 +130,7 @@ class TwoModeAerosol(AbstractConstituent):
 
     @property
     def phase(self):
-        """What follows of the phase function and the scattering matrix."""
+        """The phase function and scattering matrix of both modes together."""
         return TwoModePhase(self._modes)
 
     @property
@@ -144,18 +145,18 @@ class TwoModeAerosol(AbstractConstituent):
 
     @property
     def volumes(self) -> Float[Array, " mode"]:
-        """Volume of the fine and of the coarse mode in the column, um^3/um^2."""
+        """Column volumes of the fine and the coarse mode, um^3/um^2."""
         modes = self._modes
         return self.optical_depth * modes.volumes(modes.kernels.efficiencies())
 
     def index_at(self, wavelength_nm: Float[Array, " wavelength"]) -> tuple[Array, Array]:
-        """The refractive index n and k at wavelengths in nm, the same at all."""
+        """The refractive indices n and k, the same at all wavelengths (nm)."""
         indices = self.refractive_index, self.absorption_index
         n, k = (jnp.broadcast_to(index, wavelength_nm.shape) for index in indices)
         return n, k
 
     def volume_size_distribution(self, radius_um: Float[Array, " radius"]) -> Float[Array, " radius"]:
-        """dV/dlnr of the column at radii in micrometres, um^3/um^2."""
+        """Volume size distribution dV/dlnr of the column at radii in micrometres, um^3/um^2."""
         radius = jnp.stack([self.fine_radius, self.coarse_radius])
         width = jnp.stack([self.fine_width, self.coarse_width])
         away = jnp.log(radius_um[:, None] / radius[None]) / width[None]
@@ -163,7 +164,7 @@ class TwoModeAerosol(AbstractConstituent):
 
     @property
     def effective_radius(self) -> Float[Array, ""]:
-        """Effective radius of both modes, volume over a quarter of the surface times three quarters, micrometres."""
+        """Effective radius of both modes together, three times the volume over the surface area, micrometres."""
         volumes = self._modes.volumes(self._modes.kernels.efficiencies())
         radii = jnp.stack([self.fine_effective_radius, self.coarse_effective_radius])
         return jnp.sum(volumes) / jnp.sum(volumes / radii)

@@ -1,8 +1,8 @@
-r"""Phase functions: how scattered light spreads over angle, with Legendre moments.
+r"""Phase functions: the angular distribution of scattered light, and its Legendre moments.
 
 All are normalised: $\int p\, d\omega = 1$, in sr^-1, and
 $p(\gamma) = \frac{1}{4\pi} \sum_l (2l+1) \chi_l P_l(\cos\gamma)$ with $\chi_0 = 1$.
-The angle enters as its haversine $\sin^2(\gamma/2)$, which keeps its digits toward the sun.
+The scattering angle is given as its haversine $\sin^2(\gamma/2)$, which stays accurate at small angles.
 """
 
 from abc import abstractmethod
@@ -34,34 +34,34 @@ from ..numerics import (
 from ..tables import read_table
 
 
-# nm, where the aerosol optical depth and the turbidity are stated (Preetham 1999, sec. 2.1), and all slopes begin
+# Reference wavelength of aerosol optical depth, turbidity (Preetham 1999, sec. 2.1) and all spectral slopes, nm
 REFERENCE_WAVELENGTH = 550.0
-# degree of polarisation of haze at 90 degrees from the sun, where its phase function says nothing of it
+# Degree of polarisation of haze at 90 degrees from the sun, for phase functions without a scattering matrix
 HAZE_POLARISATION = 0.25
-# nodes of an integral over the scattering angle, uniform in it
+# Number of Gauss-Legendre nodes for integrals over the scattering angle
 _ANGLES = 256
-# the range of the wavelengths of a table
+# Allowed wavelengths of a table
 TABLE_WAVELENGTHS = within(100.0, 1e5, "nm", IN_MICROMETRES)
-# a lobe of one direction has no value there; at this asymmetry it is a milliradian wide
+# At |g| = 1 the lobe is a delta function without a value; at this limit it is a milliradian wide
 _ASYMMETRY = within(-0.999, 0.999)
 
 
 class AbstractPhase(Ranged):
-    """A phase function; the last axis of length 1 where it does not depend on wavelength."""
+    """A phase function. The last axis of its values has length 1 if they do not depend on wavelength."""
 
-    # the degree of the last moment that is not zero, None where they go on
+    # Degree of the last nonzero moment, None if there are infinitely many
     last_degree: eqx.AbstractClassVar[int | None]
 
     @property
     @abstractmethod
     def known_nm(self) -> tuple[float, float]:
-        """Where it is known, nm: beyond, wavelengths that are not traced are refused."""
+        """The valid wavelengths, nm. Concrete wavelengths beyond are a `ValueError`."""
 
     @abstractmethod
     def at_haversine(
         self, haversine: Float[Array, " direction"], wavelength_nm: Float[Array, " wavelength"]
     ) -> Float[Array, " direction #wavelength"]:
-        """The phase function in sr^-1 where sin^2 of half the angle from the forward direction is `haversine`."""
+        """The phase function in sr^-1; `haversine` is sin^2 of half the scattering angle."""
 
     def at_angle(
         self, angle: Float[ArrayLike, " direction"], wavelength_nm: Float[ArrayLike, " wavelength"]
@@ -85,10 +85,10 @@ class AbstractPhase(Ranged):
     def matrix(
         self, haversine: Float[Array, " direction"], wavelength_nm: Float[Array, " wavelength"]
     ) -> Float[Array, "element direction #wavelength"]:
-        """The elements F12, F22 and F33 of the scattering matrix over the phase function F11.
+        """The ratios F12, F22 and F33 of the scattering matrix to the phase function F11.
 
-        Q counts what is polarised in the plane of scattering: F12 is negative for air. F34 is not kept: it turns
-        polarisation circular and back.
+        Q is positive for polarisation in the plane of scattering, so F12 is negative for air. F34, which converts
+        between linear and circular polarisation, is neglected.
         """
 
     def matrix_moments(
@@ -97,8 +97,8 @@ class AbstractPhase(Ranged):
         r"""The moments $\alpha$, $\gamma$, $\zeta$ of the scattering matrix, 0 .. count-1, without the factor 2 l + 1.
 
         $\gamma_l = \int F_{12} R_l^0 d\omega$, $\alpha_l = \int (F_{22} R_l^2 - F_{33} T_l^2) d\omega$,
-        $\zeta_l = \int (F_{33} R_l^2 - F_{22} T_l^2) d\omega$: what scattering makes of E from E, of E from
-        the radiance and back, and of B from B.
+        $\zeta_l = \int (F_{33} R_l^2 - F_{22} T_l^2) d\omega$. $\alpha$ couples E to E, $\gamma$ the radiance to E and
+        back, and $\zeta$ B to B.
 
         **Source:** Siewert 1982, Astron. Astrophys. 109, 195, whose expansion coefficients are 2 l + 1 times these.
         """
@@ -113,7 +113,7 @@ class AbstractPhase(Ranged):
 
 
 def polarised_like_air(haversine, share) -> Float[Array, "element direction #wavelength"]:
-    r"""A scattering matrix as of air, $F_{12} = -s\, F_{11} \sin^2\gamma / (1 + \cos^2\gamma)$, F22 and F33 as of air.
+    r"""A scattering matrix like that of air, $F_{12} = -s\, F_{11} \sin^2\gamma / (1 + \cos^2\gamma)$; F22, F33 of air.
 
     **Arguments:** `share` s in [0, 1]: the degree of polarisation at 90 degrees; air without depolarisation has 1.
     **Source:** a model, for phase functions that say nothing of polarisation.
@@ -200,10 +200,10 @@ class HenyeyGreenstein(AbstractPhase):
 
 
 class TwoTermHenyeyGreenstein(AbstractPhase):
-    r"""A share of one Henyey-Greenstein lobe and the rest of a second one, $f p_{HG}(g_1) + (1 - f) p_{HG}(g_2)$.
+    r"""The weighted sum of two Henyey-Greenstein lobes, $f p_{HG}(g_1) + (1 - f) p_{HG}(g_2)$.
 
     `asymmetry` and `asymmetry_second` in [-0.999, 0.999]; `forward_fraction` f at 550 nm in [0, 1] and its slope per
-    unit of ln(wavelength / 550 nm): coarse particles scatter forward and hold more of the red than of the blue.
+    unit of ln(wavelength / 550 nm): coarse particles scatter forward, and their share is larger in the red.
     Source: Irvine 1965, Astrophys. J. 142, 1563; Kattawar 1975. The slope is our own.
 
     **Example:**
@@ -282,11 +282,11 @@ class Tabulated(AbstractPhase):
     """A table of log values over angle and wavelength, interpolated linearly in both and normalised.
 
     `angle` radians `[angle]`, increasing; `table_wavelength_nm` `[band]`; `log_value` `[angle, band]`; `matrix_ratio`
-    `[element, angle, band]`, F12, F22 and F33 of the scattering matrix over F11 (`matrix`), as they are in [-1, 1].
-    Without it, None, `polarisation` stands for it: as air's, to this degree at 90 degrees.
+    `[element, angle, band]`, the ratios F12, F22 and F33 of the scattering matrix to F11 (`matrix`), in [-1, 1].
+    If it is None, the matrix is like that of air with the degree `polarisation` at 90 degrees.
 
-    **Valid:** angles beyond the table have the end's value. Wavelengths beyond it are a `ValueError`, and traced ones
-    have the end's value.
+    **Valid:** angles beyond the table get the value at its end. Wavelengths beyond the table are a `ValueError`;
+    traced ones get the value at its end.
 
     **Example:**
 
@@ -306,7 +306,7 @@ class Tabulated(AbstractPhase):
 
     @property
     def known_nm(self) -> tuple[float, float]:
-        """Where the table is known, nm."""
+        """The wavelength range of the table, nm."""
         return table_range(self.table_wavelength_nm)
 
     def __check_init__(self):
@@ -320,13 +320,13 @@ class Tabulated(AbstractPhase):
 
     @classmethod
     def from_matrix(cls, angle, table_wavelength_nm, p11, p12, p33, p22=None) -> "Tabulated":
-        r"""A table of a scattering matrix, with cubic splines between its angles.
+        r"""A `Tabulated` from a scattering matrix, by cubic splines between its angles.
 
         **Arguments:** `angle` `[angle]`, radians from 0 to pi, increasing, and `table_wavelength_nm` `[band]`; the
-        elements `[angle, band]` in one unit, whatever it is: P11 > 0, P12 (negative where light is polarised as by
-        air), P33, and P22 where particles are no spheres (None: P11). **Returns:** a `Tabulated` whose angles are the
-        given and one each half degree. **Valid:** numbers, not traced ones; slopes vanish at 0 and pi, as those of
-        every smooth matrix do. P34 and P44 matter to circular polarisation only, which is neglected (`Stokes`).
+        elements `[angle, band]` in one arbitrary unit: P11 > 0, P12 (negative where light is polarised as by air),
+        P33, and P22 if the particles are not spheres (None: P11). **Returns:** a `Tabulated` at the given angles and
+        at every half degree. **Valid:** concrete numbers only. The splines have slope 0 at 0 and pi, as every smooth
+        matrix has. P34 and P44 affect circular polarisation only, which is neglected (`Stokes`).
         """
         from scipy.interpolate import CubicSpline
 
@@ -339,17 +339,17 @@ class Tabulated(AbstractPhase):
             raise ValueError(f"`p11` must be positive, got {p11[~(p11 > 0.0)][0]:g}")
         rows = [np.log(p11), *(np.asarray(p) / p11 for p in (p12, p11 if p22 is None else p22, p33))]
         dense = np.union1d(angle, np.linspace(angle[0], angle[-1], 361))
-        # what the rounding of the given angles makes twice
+        # Drop angles that differ by rounding only
         dense = dense[np.append(np.diff(dense) > 1e-5, True)]
         spline = CubicSpline(angle, np.stack(rows), axis=1, bc_type="clamped")(dense)
         return cls(dense, table_wavelength_nm, spline[0], matrix_ratio=np.clip(spline[1:], -1.0, 1.0))
 
     @classmethod
     def bullrich(cls) -> "Tabulated":
-        """Haze by Bullrich's eta for Junge's exponent 4, 400-850 nm: Preetham 1999, Table 1.
+        """Haze with Bullrich's eta for Junge's exponent 4, 400-850 nm: Preetham 1999, Table 1.
 
-        **Valid:** 300 to 1100 nm: the phase function of Junge's distribution does not change with wavelength but for
-        the refractive index, and the bands at 400 and 850 nm stand for all beyond.
+        **Valid:** 300 to 1100 nm. The phase function of Junge's distribution changes with wavelength only through the
+        refractive index, so the bands at 400 and 850 nm hold beyond them.
 
         Log eta is interpolated (the paper gives no rule; linear interpolation misses its own K by 7 %).
         """
@@ -365,7 +365,7 @@ class Tabulated(AbstractPhase):
         return jnp.exp(self._at(self.log_value, haversine, wavelength_nm))
 
     def _at(self, table, haversine, wavelength_nm):
-        """A table between its angles and wavelengths."""
+        """A table interpolated at scattering angles and wavelengths."""
         inside = jnp.clip(haversine, 1e-12, 1.0 - 1e-6)
         angle = 2.0 * jnp.arctan2(jnp.sqrt(inside), jnp.sqrt(1.0 - inside))
         over_wavelength = table @ hat_weights(wavelength_nm, self.table_wavelength_nm).T
@@ -373,7 +373,7 @@ class Tabulated(AbstractPhase):
 
     def _quadrature(self, count, wavelength_nm):
         nodes, weights = gauss_legendre(_ANGLES)
-        # nodes uniform in angle, dense enough for the kinks of the table
+        # Gauss-Legendre nodes in the angle, dense enough for the kinks of the table
         angle = np.pi * nodes
         values = self._unnormalised(as_float(np.sin(0.5 * angle) ** 2), wavelength_nm)
         solid_angle = as_float(2.0 * np.pi * np.pi * weights * np.sin(angle))
@@ -394,7 +394,7 @@ class Tabulated(AbstractPhase):
 
 
 def held(table_nm: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A table, wavelengths along its last axis, with its end values once more at 300 and 1100 nm."""
+    """A table (wavelengths along its last axis) extended to 300 and 1100 nm with its end values."""
     return np.concatenate([[300.0], table_nm, [1100.0]]), np.concatenate(
         [values[..., :1], values, values[..., -1:]], axis=-1
     )

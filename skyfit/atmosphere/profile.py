@@ -1,4 +1,4 @@
-"""Vertical profiles: how a constituent's column is spread over height above the ground."""
+"""Vertical profiles: the distribution of a constituent's column over height above the ground."""
 
 from abc import abstractmethod
 
@@ -12,14 +12,14 @@ from ..numerics import as_float, check_increasing, concrete, hat_weights, phi1, 
 from ..tables import read_table
 
 
-# m, Preetham 1999, A.4 (0.8333 /km)
+# Scale height of haze, m: Preetham 1999, A.4 (0.8333 /km)
 HAZE_SCALE_HEIGHT = 1200.0
-# the logarithm of a density is taken of no less: still a float32
+# Smallest density whose logarithm is taken; float32 represents it
 _SMALLEST_DENSITY = 1e-30
 
 
 class AbstractProfile(Ranged):
-    """The shape of a column, normalised to one; heights in metres above the ground."""
+    """The vertical distribution of a column, normalised to one; heights in metres above the ground."""
 
     @abstractmethod
     def column_above(self, height: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -31,11 +31,11 @@ class AbstractProfile(Ranged):
 
     @abstractmethod
     def reach(self) -> Float[Array, ""]:
-        """The height (m) over which the column thins out: the length scale of quadrature."""
+        """A height (m) characteristic of the profile: the length scale of quadrature."""
 
 
 class Exponential(AbstractProfile):
-    r"""Density falling as $e^{-h/H}$; Preetham 1999, eq. 5 with $\alpha = 1/H$. `scale_height` in m, 10 to 1e6.
+    r"""Density proportional to $e^{-h/H}$; Preetham 1999, eq. 5 with $\alpha = 1/H$. `scale_height` in m, 10 to 1e6.
 
     **Example:**
 
@@ -61,7 +61,7 @@ class Exponential(AbstractProfile):
 class OzoneLayer(AbstractProfile):
     r"""Stratospheric ozone: column above h proportional to $1 / (1 + e^{(h - b)/c})$.
 
-    `height` b = 20 km and `thickness` c = 5 km (m here) stand for middle latitudes.
+    `height` b and `thickness` c are in m. The defaults, 20 km and 5 km, represent middle latitudes.
     Source: Lacis & Hansen 1974, J. Atmos. Sci. 31, 118 (their u(h) with a = 0.4 cm, b = 20 km, c = 5 km).
 
     **Example:**
@@ -89,7 +89,7 @@ class Layered(AbstractProfile):
     """Homogeneous layers: `fraction` of the column in each layer between consecutive `edges`.
 
     `edges` in m, increasing, one more than `fraction`; the first is the ground (0). Fractions are normalised
-    to sum 1. Single scattering has its `nodes` in each layer that scatters, at that cost.
+    to sum 1. Single scattering places its `nodes` in each scattering layer, which costs accordingly.
 
     **Example:**
 
@@ -130,11 +130,12 @@ class Layered(AbstractProfile):
 
 
 class Levels(AbstractProfile):
-    r"""A table: density that changes exponentially with height between levels, $\rho_i (\rho_{i+1}/\rho_i)^t$.
+    r"""Density at levels, exponential in height between them, $\rho_i (\rho_{i+1}/\rho_i)^t$.
 
-    `height` of the levels in m, increasing, the first on the ground; `density_at` them, > 0, in any unit: the column
-    is normalised. Nothing lies above the last level. Solvers on a sphere integrate layer by layer, at that cost;
-    `SingleScattering.normal` has Elterman's haze to 0.2 %, whose layer aloft the nodes of a smooth view see coarsely.
+    `height` of the levels in m, increasing, the first on the ground; `density_at`, the density there, > 0, in any unit
+    (the column is normalised). The density above the last level is 0. Solvers on a sphere integrate layer by layer,
+    which costs accordingly. `SingleScattering.normal` computes Elterman's haze to 0.2 %, because its quadrature nodes
+    resolve the elevated layer coarsely.
 
     **Example:**
 
@@ -162,13 +163,13 @@ class Levels(AbstractProfile):
 
     @classmethod
     def us_standard_1976(cls) -> "Levels":
-        """Air of the US Standard Atmosphere 1976, from the ground to 86 km; data/us_standard_atmosphere_1976.csv."""
+        """Air density of the US Standard Atmosphere 1976, ground to 86 km; data/us_standard_atmosphere_1976.csv."""
         table = read_table("us_standard_atmosphere_1976.csv")
         return cls(table["height_m"], table["density_kg_m3"])
 
     @classmethod
     def elterman_1968(cls) -> "Levels":
-        """Elterman's haze, from the ground to 50 km, with its layer at 20 km; data/elterman_1968_aerosol.csv."""
+        """Elterman's haze from the ground to 50 km, with a layer at 20 km; data/elterman_1968_aerosol.csv."""
         table = read_table("elterman_1968_aerosol.csv")
         return cls(table["height_m"], table["extinction_per_km"])
 
@@ -182,7 +183,7 @@ class Levels(AbstractProfile):
         log = self.log_density()
         layer = jnp.diff(self.height) * jnp.exp(log[:-1]) * phi1(log[:-1] - log[1:])
         over = jnp.concatenate([jnp.cumsum(layer[::-1])[::-1][1:], jnp.zeros_like(layer[:1])])
-        # the upper end of the layer that a height lies in
+        # Height, log density and column above of the upper end of the layer that contains each height
         ends = self._layer_of(height) @ jnp.stack([self.height[1:], log[1:], over], axis=1)
         inside = jnp.clip(height, self.height[0], self.height[-1])
         here = hat_weights(height, self.height) @ log
@@ -193,7 +194,7 @@ class Levels(AbstractProfile):
         return jnp.where(height < self.height[-1], here, 0.0)
 
     def _layer_of(self, height):
-        """One where a height lies in a layer, zero elsewhere; the first and the last layer have no end."""
+        """1 for the layer that contains a height, 0 for the others; the first and last layer extend without limit."""
         past = (height[..., None] >= jnp.expand_dims(self.height[1:-1], range(height.ndim))).astype(self.height.dtype)
         ones = jnp.ones_like(height)[..., None]
         return jnp.concatenate([ones, past], axis=-1) - jnp.concatenate([past, 0.0 * ones], axis=-1)
@@ -201,5 +202,5 @@ class Levels(AbstractProfile):
     def reach(self):
         log, step = self.log_density(), jnp.diff(self.height)
         first, second = phi_functions(log[:-1] - log[1:])
-        # the mean height
+        # Mean height
         return jnp.sum(step * jnp.exp(log[:-1]) * (self.height[:-1] * first + step * (first - second)))

@@ -13,11 +13,11 @@ from .phase import AbstractPhase, RayleighPhase
 from .profile import AbstractProfile, Exponential
 
 
-# Pa, standard atmosphere at sea level
+# Pressure of the standard atmosphere at sea level, Pa
 SEA_LEVEL_PRESSURE = 101325.0
-# m, density scale height of air (oracles and Bruneton & Neyret 2008, sec. 2.1)
+# Density scale height of air, m (oracles and Bruneton & Neyret 2008, sec. 2.1)
 AIR_SCALE_HEIGHT = 8000.0
-# m, optical length of air straight up (Hoffman & Preetham 2002, Sunlight)
+# Vertical optical length of air, m (Hoffman & Preetham 2002, Sunlight)
 AIR_OPTICAL_LENGTH = 8400.0
 
 
@@ -46,7 +46,7 @@ def paper_scattering_coefficient(wavelength_nm):
     index, density, depolarization = 1.0003, 2.545e25, 0.035
     king = (6.0 + 3.0 * depolarization) / (6.0 - 7.0 * depolarization)
     scale = 8.0 * np.pi**3 * (index**2 - 1.0) ** 2 / (3.0 * density) * king
-    # lambda^4 in um^4: nm^4 in metres is below float32
+    # lambda^4 in um^4, because in m^4 it underflows float32
     return scale * 1e24 / (wavelength_nm * 1e-3) ** 4
 
 
@@ -61,10 +61,10 @@ def pressure_at_altitude(altitude_m):
 
 
 class Rayleigh(AbstractConstituent):
-    """Air molecules: optical depth scaled by the station's pressure.
+    """Air molecules: their optical depth is proportional to the station's pressure.
 
-    `pressure` at the ground, 2000 to 120000 Pa (no air at all is an `Atmosphere` without it); `formula` "bodhaine"
-    (default) or "paper" (n = 1.0003, 17 % larger).
+    `pressure` at the ground, 2000 to 120000 Pa (for no air leave this constituent out); `formula` "bodhaine" (default)
+    or "paper" (n = 1.0003, 17 % larger).
 
     **Example:**
 

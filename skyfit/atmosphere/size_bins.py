@@ -1,4 +1,4 @@
-r"""Aerosol of spheres of any distribution of sizes, in bins of radius, with an index that varies with wavelength."""
+r"""Aerosol of spheres with any size distribution, in bins of radius; its refractive index varies with wavelength."""
 
 from typing import ClassVar
 
@@ -17,18 +17,18 @@ from .profile import AbstractProfile, Exponential, HAZE_SCALE_HEIGHT
 from .sphere_kernels import AbstractSpherePhase, class_weights, KNOWN_N, KNOWN_NM, LARGEST_K, OF_TABLE, SphereKernels
 
 
-# um, where AERONET states size distributions (Dubovik & King 2000, J. Geophys. Res. 105, 20673)
+# Radii at which AERONET tabulates size distributions, um (Dubovik & King 2000, J. Geophys. Res. 105, 20673)
 BIN_RADII = np.geomspace(0.05, 15.0, 22)
-# of the bells: as wide as they are apart, so that equal ones add up to a constant within 1e-8
+# Distance of the bins in ln r, and the width of their Gaussians: equal bins then add up to a constant within 1e-8
 _STEP = float(np.log(BIN_RADII[1] / BIN_RADII[0]))
-# um^2/um^2, volume over radius: less is none
+# Smallest volume over radius that counts as aerosol, um^2/um^2
 _NO_VOLUME = 1e-12
-# um, of BIN_RADII, between which AERONET parts fine from coarse (Version 3): at the least of dV/dlnr
+# Candidate radii for AERONET's separation of fine from coarse (Version 3), um: it is at the minimum of dV/dlnr
 _PARTING = BIN_RADII[(BIN_RADII > 0.4) & (BIN_RADII < 1.0)]
 
 
 class _Sizes(eqx.Module):
-    """What the optics of a `BinnedAerosol` follow from; the fields are its own."""
+    """The parameters of a `BinnedAerosol` that determine its optics."""
 
     bins: Float[Array, " bin"]
     refractive_index: Float[Array, ""]
@@ -38,28 +38,28 @@ class _Sizes(eqx.Module):
     absorption_index_curvature: Float[Array, ""]
 
     def index_at(self, wavelength_nm) -> tuple[Array, Array]:
-        """The refractive index, its real part and k, none beyond what the kernels know."""
+        """The refractive indices n and k, clipped to the range of the kernels."""
         x = jnp.log(wavelength_nm / REFERENCE_WAVELENGTH)
         exponent = (self.absorption_index_curvature * x - self.absorption_index_exponent) * x
         n = self.refractive_index + self.refractive_index_slope * x
         return jnp.clip(n, *KNOWN_N), jnp.minimum(self.absorption_index * jnp.exp(exponent), LARGEST_K)
 
     def classes(self, wavelength_nm) -> Float[Array, "wavelength class"]:
-        """Volume in each size class, um^3 over um^2."""
+        """Volume in each size class, um^3/um^2."""
         radius = as_float(BIN_RADII)
         shares = class_weights(radius, jnp.full_like(radius, _STEP), wavelength_nm)
         return jnp.einsum("b,bwj->wj", self.bins * _STEP, shares)
 
     def depths(self, wavelength_nm) -> Float[Array, "quantity wavelength"]:
-        """Optical depths of extinction and of scattering."""
+        """Extinction and scattering optical depth."""
         efficiencies = jax.vmap(lambda n, k: SphereKernels(n, k).efficiencies())(*self.index_at(wavelength_nm))
         return jnp.einsum("wqj,wj->qw", efficiencies, self.classes(wavelength_nm)) / (1e-3 * wavelength_nm)[None]
 
 
 class BinnedPhase(AbstractSpherePhase):
-    """Phase function and scattering matrix of a `BinnedAerosol`, whose property `phase` makes it.
+    """Phase function and scattering matrix of a `BinnedAerosol`, made by its property `phase`.
 
-    Cubic in between the tabulated angles, normalised by its own integral. **Valid:** as there.
+    It is cubic between the tabulated angles and normalised by its own integral. **Valid:** as `BinnedAerosol`.
     """
 
     sizes: _Sizes
@@ -73,17 +73,17 @@ class BinnedPhase(AbstractSpherePhase):
 
 
 class BinnedAerosol(AbstractConstituent):
-    r"""Homogeneous spheres of sizes in 22 bins, $dV/d\ln r = \sum_j b_j\, \Delta\, N(\ln r; \ln r_j, \Delta)$.
+    r"""Homogeneous spheres with sizes in 22 bins, $dV/d\ln r = \sum_j b_j\, \Delta\, N(\ln r; \ln r_j, \Delta)$.
 
-    `bins` $b_j$ `[22]`, um^3/um^2, >= 0: what dV/dlnr of the column would be if all were alike; their radii $r_j$
-    from 0.05 to 15 um, $\Delta = 0.27$ apart in the logarithm, are AERONET's. The index n + i k, with
-    $x = \ln(\lambda/550)$: $n = n_{550} + s x$ of `refractive_index` and `refractive_index_slope`;
-    $k = k_{550}\, e^{-a x + c x^2}$ of `absorption_index`, `absorption_index_exponent` a, `absorption_index_curvature`
-    c; the same for all sizes. `profile`. Optical depth, albedo and phase function follow. Stands in any place of an
-    `Atmosphere`.
+    `bins` $b_j$ `[22]`, um^3/um^2, >= 0; if all are equal, dV/dlnr of the column has that value. The radii $r_j$ are
+    AERONET's, from 0.05 to 15 um, $\Delta = 0.27$ apart in ln r. The refractive index n + i k is the same for all
+    sizes. With $x = \ln(\lambda/550)$, $n = n_{550} + s x$ from `refractive_index` and `refractive_index_slope` s, and
+    $k = k_{550}\, e^{-a x + c x^2}$ from `absorption_index`, `absorption_index_exponent` a and
+    `absorption_index_curvature` c. `profile`. Optical depth, single scattering albedo and phase function follow.
+    May stand under any name of an `Atmosphere`.
 
-    **Valid:** 300 to 1100 nm; n of 1.33 to 1.60, k to 0.1, as for `TwoModeAerosol`: beyond, the end value holds with
-    slope 0. A mode narrower than 0.27 in ln r is smeared to that. Dust is not made of spheres.
+    **Valid:** 300 to 1100 nm; n of 1.33 to 1.60, k to 0.1, as for `TwoModeAerosol`; where n or k leaves this range the
+    end value holds with slope 0. A mode narrower than 0.27 in ln r is broadened to that. Dust is not made of spheres.
 
     **Source:** Mie theory, experiments/tables/make_mie_tables.py. Bins as in Dubovik & King 2000, J. Geophys. Res. 105,
     20673, there straight lines between the radii in place of bells.
@@ -112,25 +112,25 @@ class BinnedAerosol(AbstractConstituent):
     known_nm: ClassVar[tuple[float, float]] = KNOWN_NM
 
     def __check_init__(self):
-        # a placeholder of a tree without numbers has no shape
+        # A placeholder (a tree without numbers) has no shape
         if eqx.is_array(self.bins) and self.bins.shape[-1:] != (BIN_RADII.size,):
             raise ValueError(f"`bins` must hold {BIN_RADII.size} numbers, got {np.shape(self.bins)}")
 
     @classmethod
     def like(cls, haze: TwoModeAerosol) -> "BinnedAerosol":
-        """Bins after the two modes of another haze, of its volumes, its index and its profile.
+        """Bins that approximate a `TwoModeAerosol`, with its volumes, refractive index and profile.
 
-        **Valid:** the optics are the same within 0.5 % where the bins hold the modes (tests: fine ones about 0.15 um,
-        coarse ones about 2.5): what lies below 0.05 and above 15 um is lost, some 10 % of the extinction of a fine mode
-        of 0.05 um. Modes of a width of 0.3 come out a little wider.
+        **Valid:** the optics agree within 0.5 % if the bins cover the modes (tested: fine modes about 0.15 um, coarse
+        modes about 2.5 um). Volume below 0.05 and above 15 um is lost: for a fine mode of 0.05 um about 10 % of the
+        extinction. Modes of width 0.3 become slightly wider.
         """
         width = jnp.stack([haze.fine_width, haze.coarse_width])
-        # a bell of a bell is one
+        # The convolution of two Gaussians is a Gaussian; the bins add _STEP**2 to the variance
         width = jnp.sqrt(jnp.maximum(width**2 - _STEP**2, (0.5 * _STEP) ** 2))
         radius = jnp.stack([haze.fine_radius, haze.coarse_radius])
         away = jnp.log(as_float(BIN_RADII)[:, None] / radius[None]) / width[None]
         bins = jnp.exp(-0.5 * away**2) @ (haze.volumes / (width * np.sqrt(2.0 * np.pi)))
-        # pyright takes the inherited, abstract `phase` for an argument
+        # pyright mistakes the inherited, abstract `phase` for an argument
         return cls(bins, haze.refractive_index, absorption_index=haze.absorption_index, profile=haze.profile)  # pyright: ignore
 
     @property
@@ -146,26 +146,26 @@ class BinnedAerosol(AbstractConstituent):
 
     @property
     def _some(self) -> _Sizes:
-        """The sizes, or equal bins where all are empty and no others have a phase function."""
+        """The sizes; if all bins are empty, equal bins, because an empty aerosol has no phase function."""
         bins = jnp.where(jnp.sum(self.bins) > 0.0, self.bins, jnp.ones_like(self.bins))
         return eqx.tree_at(lambda sizes: sizes.bins, self._sizes, bins)
 
     @property
     def phase(self):
-        """What follows of the phase function and the scattering matrix."""
+        """The phase function and scattering matrix of all bins."""
         return BinnedPhase(self._some)
 
     def index_at(self, wavelength_nm: Float[Array, " wavelength"]) -> tuple[Array, Array]:
-        """The refractive index n and k at wavelengths in nm."""
+        """The refractive indices n and k at wavelengths in nm."""
         return self._sizes.index_at(wavelength_nm)
 
     def volume_size_distribution(self, radius_um: Float[Array, " radius"]) -> Float[Array, " radius"]:
-        """dV/dlnr of the column at radii in micrometres, um^3/um^2."""
+        """Volume size distribution dV/dlnr of the column at radii in micrometres, um^3/um^2."""
         away = (jnp.log(radius_um)[:, None] - as_float(np.log(BIN_RADII))[None]) / _STEP
         return jnp.exp(-0.5 * away**2) @ self.bins / np.sqrt(2.0 * np.pi)
 
     def _moments(self) -> Float[Array, "quantity mode"]:
-        """Volume, and volume over radius, of what is fine and of what is coarse."""
+        """Volume and volume over radius of the fine and the coarse spheres."""
         radius = as_float(BIN_RADII)
         least = jnp.argmin(self.volume_size_distribution(as_float(_PARTING)))
         away = (jnp.log(as_float(_PARTING)[least]) - jnp.log(radius)) / _STEP
@@ -177,7 +177,7 @@ class BinnedAerosol(AbstractConstituent):
 
     @property
     def volumes(self) -> Float[Array, " mode"]:
-        """Volume of fine and of coarse spheres in the column, um^3/um^2, parted where dV/dlnr is least, 0.44-0.99 um.
+        """Column volumes of fine and coarse spheres, um^3/um^2, separated at the minimum of dV/dlnr in 0.44-0.99 um.
 
         **Source:** AERONET Version 3. The parting radius is one of `bins`, and has no slope.
         """
@@ -185,22 +185,22 @@ class BinnedAerosol(AbstractConstituent):
 
     @property
     def fine_effective_radius(self) -> Float[Array, ""]:
-        """Effective radius of what is fine, micrometres, parted as `volumes`; 0 of none."""
+        """Effective radius of the fine spheres, micrometres, separated as in `volumes`; 0 if there are none."""
         return self._effective(self._moments()[:, 0])
 
     @property
     def coarse_effective_radius(self) -> Float[Array, ""]:
-        """Effective radius of what is coarse, micrometres, parted as `volumes`; 0 of none."""
+        """Effective radius of the coarse spheres, micrometres, separated as in `volumes`; 0 if there are none."""
         return self._effective(self._moments()[:, 1])
 
     @property
     def effective_radius(self) -> Float[Array, ""]:
-        """Effective radius of all, volume over a quarter of the surface times three quarters, micrometres."""
+        """Effective radius of all spheres, three times the volume over the surface area, micrometres."""
         return self._effective(jnp.sum(self._moments(), axis=1))
 
     @staticmethod
     def _effective(moments: Float[Array, "2"]) -> Float[Array, ""]:
-        """Volume over volume by radius, 0 where there is none."""
+        """The ratio of volume to volume over radius, 0 if there is no volume."""
         some = moments[1] > _NO_VOLUME
         return jnp.where(some, moments[0] / jnp.where(some, moments[1], 1.0), 0.0)
 

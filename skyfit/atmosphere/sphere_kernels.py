@@ -1,8 +1,8 @@
-"""What unit volume of spheres of narrow size classes scatters, over refractive index and angle: a shipped table.
+"""A shipped table of scattering by spheres in narrow size classes, per unit volume, over refractive index and angle.
 
-Whatever the distribution of sizes, its optics are a sum over the classes. The index enters by polynomials; a part of
-the distribution that is normal in the logarithm of radius enters by weights Gaussian in ln(radius / wavelength), so
-that radius, width and wavelength are smooth.
+The optics of any size distribution are a sum over the classes. The dependence on refractive index is a polynomial. A
+lognormal part of the distribution has weights that are Gaussian in ln(radius / wavelength), so the optics are smooth
+in radius, width and wavelength.
 """
 
 import functools
@@ -21,22 +21,25 @@ from ..tables import read_arrays
 from .phase import AbstractPhase
 
 
-# narrower parts are taken as this wide: the classes have a width of their own
+# Smallest width of a lognormal part; smaller ones are raised to it, because the classes have a width themselves
 LEAST_WIDTH = 0.25
-# nm, where the table is used
+# Valid wavelengths of the table, nm
 KNOWN_NM = (300.0, 1100.0)
-# refractive index, and absorption index from 0, of the table
+# Range of the real refractive index n, and the largest absorption index k (the smallest is 0)
 KNOWN_N, LARGEST_K = (1.33, 1.6), 0.1
 OF_TABLE = "of the table of spheres: soot and iron are beyond it, `Prescribed` takes optics of one's own"
-# micrometres, far beyond what the classes hold
+# Radii are clipped to this range, micrometres, which is far wider than that of the classes
 _RADII = (1e-3, 1e3)
-# nodes of an integral over each interval between tabulated angles
+# Number of quadrature nodes in each interval between tabulated angles
 _NODES_BETWEEN = 12
 
 
 @functools.lru_cache(maxsize=4)
 def _tables(dtype: Any) -> Mapping[str, np.ndarray]:
-    """The shipped arrays in a dtype, `[class, node, ...]`, their means over the nodes apart: small numbers add well."""
+    """The shipped arrays in a dtype, `[class, node, ...]`, with the means over the nodes stored separately.
+
+    The deviations from the means are small, so that sums over nodes lose few digits.
+    """
     kept = {}
     for name, values in read_arrays("mie_kernels.npz").items():
         if name == "about":
@@ -51,7 +54,7 @@ def _tables(dtype: Any) -> Mapping[str, np.ndarray]:
 
 
 def _angle_coordinate(haversine, xp: Any = jnp):
-    """Where angles lie among the tabulated ones, 0 to their number less one."""
+    """The fractional index of angles in the tabulated angles, from 0 to their number minus one."""
     a, first, b, c, last = (float(v) for v in read_arrays("mie_kernels.npz")["angle_map"])
 
     def mapped(h, xp):
@@ -62,7 +65,7 @@ def _angle_coordinate(haversine, xp: Any = jnp):
 
 
 def _angle_weights(haversine, xp: Any = jnp):
-    """Weights of the tabulated angles, and of one more at each end, `[direction, angle + 2]`: local cubics.
+    """Local cubic weights of the tabulated angles and of one extra node at each end, `[direction, angle + 2]`.
 
     **Source:** Keys 1981, IEEE Trans. Acoust. Speech Signal Process. 29, 1153, a = -1/2.
     """
@@ -75,7 +78,7 @@ def _angle_weights(haversine, xp: Any = jnp):
 
 
 def _with_ends(values, xp: Any = jnp):
-    """One more value beyond either end of the first axis, by the parabola through the last three."""
+    """Values with one more at either end of the first axis, extrapolated by the parabola through the three nearest."""
     before = 3.0 * (values[:1] - values[1:2]) + values[2:3]
     after = 3.0 * (values[-1:] - values[-2:-1]) + values[-3:-2]
     return xp.concatenate([before, values, after])
@@ -97,7 +100,7 @@ def _moment_weights(count: int) -> np.ndarray:
 def class_weights(
     radius: Float[Array, " part"], width: Float[Array, " part"], wavelength_nm: Float[ArrayLike, " wavelength"]
 ) -> Float[Array, "part wavelength class"]:
-    """The classes' shares of the volume of each part that is normal in ln(radius), radius in micrometres."""
+    """The share of each size class in the volume of each lognormal part; median `radius` in micrometres."""
     table = _tables(jnp.result_type(radius))
     radius, width = jnp.clip(radius, *_RADII), jnp.maximum(width, LEAST_WIDTH)
     size = jnp.log(radius * (2e3 * np.pi))[:, None] - jnp.log(wavelength_nm)[None]
@@ -106,7 +109,7 @@ def class_weights(
 
 
 class SphereKernels(eqx.Module):
-    """The classes' optics at one refractive index n + i k, `refractive_index` and `absorption_index`."""
+    """The optics of the size classes at one refractive index n + i k, `refractive_index` and `absorption_index`."""
 
     refractive_index: Float[Array, ""]
     absorption_index: Float[Array, ""]
@@ -116,7 +119,7 @@ class SphereKernels(eqx.Module):
         return _tables(jnp.result_type(self.refractive_index))
 
     def _node_weights(self) -> Float[Array, "class node"]:
-        """Weights of the nodes of both refractive indices, by size class."""
+        """Interpolation weights of the nodes in n and k, for each size class."""
         t = self._tables
         lower, upper = t["index_range"]
         _, count, absorbing = read_arrays("mie_kernels.npz")["log_scattering"].shape
@@ -129,19 +132,19 @@ class SphereKernels(eqx.Module):
         return (by_real[:, :, None] * by_imaginary[:, None, :]).reshape(len(scale), -1)
 
     def _interpolated(self, name: str, weights) -> Float[Array, "class *angle"]:
-        """A table at the refractive index."""
+        """A table interpolated at the refractive index."""
         t = self._tables
         return jnp.asarray(t[f"{name}_mean"]) + jnp.einsum("jn,jn...->j...", weights, t[name])
 
     def efficiencies(self) -> Float[Array, "quantity class"]:
-        """Extinction and scattering of the classes, times wavelength per volume."""
+        """Extinction and scattering of the classes per volume, times wavelength."""
         weights = self._node_weights()
         scattering = jnp.exp(self._interpolated("log_scattering", weights))
         k = jnp.clip(self.absorption_index, 0.0, self._tables["absorption_top"])
         return jnp.stack([scattering + k * jnp.exp(self._interpolated("log_absorption", weights)), scattering])
 
     def by_angle(self, classes: Float[Array, "wavelength class"], ratios=()) -> list[Float[Array, "angle wavelength"]]:
-        """F11 of volumes in the classes at the tabulated angles, then F11 times each of `ratios`; arbitrary units."""
+        """F11 at the tabulated angles for given class volumes, then F11 times each of `ratios`; arbitrary units."""
         weights = self._node_weights()
         value = jnp.exp(self._interpolated("log_value", weights))
         kernels = [value] + [value * self._interpolated(name, weights) for name in ratios]
@@ -151,8 +154,8 @@ class SphereKernels(eqx.Module):
 class AbstractSpherePhase(AbstractPhase):
     """Phase function and scattering matrix of spheres: cubic between the tabulated angles, normalised by its integral.
 
-    **Valid:** the diffraction peak of size parameters over some 500 is cut off within 0.1 degrees of the sun. F34 is
-    left out.
+    **Valid:** for size parameters above about 500 the diffraction peak is cut off within 0.1 degrees of the sun. F34
+    is neglected.
     """
 
     last_degree: ClassVar[int | None] = None

@@ -1,4 +1,4 @@
-"""Turbidity: what it says of the haze's optical depth, and how far one sees."""
+"""Turbidity: its relation to the optical depth of haze and to the meteorological range."""
 
 import math
 from typing import Literal
@@ -21,11 +21,11 @@ _BETA_SLOPE, _BETA_OFFSET = 0.04608, -0.04586
 ANGSTROM_EXPONENT = 1.3
 # Preetham 1999, A.3: c = (0.6544 T - 0.6510) 1e-18 with wavelengths in m; the paper prints 1e-16
 _CONCENTRATION_SLOPE, _CONCENTRATION_OFFSET = 0.6544e-18, -0.6510e-18
-# Preetham 1999, sec. 2.1: the eye's contrast threshold is 0.02, so that 3.912 optical depths hide a black target
+# Preetham 1999, sec. 2.1: the eye's contrast threshold is 0.02, so an optical depth of 3.912 hides a black target
 _RANGE_DEPTH = -math.log(0.02)
-# m; shorter ranges are taken as this one
+# Smallest range, m; shorter ranges are raised to it
 _SHORTEST_RANGE = 1.0
-# of air that no light passes
+# Largest turbidity; such air is opaque
 _MOST_TURBIDITY = 1e4
 
 
@@ -34,7 +34,7 @@ def angstrom_coefficient(turbidity):
 
     **Arguments:** `turbidity`. **Returns:** dimensionless; the haze's optical depth is $\beta \lambda^{-\alpha}$,
     $\lambda$ in um.
-    **Valid:** T from 0.9952, else `ValueError`; traced ones below have 0.
+    **Valid:** T from 0.9952, else `ValueError`; traced values below give 0.
     **Source:** Preetham 1999, A.1.
     """
     check_turbidity(turbidity, -_BETA_OFFSET / _BETA_SLOPE)
@@ -42,12 +42,12 @@ def angstrom_coefficient(turbidity):
 
 
 def check_turbidity(turbidity, low: float = 1.0) -> None:
-    """A `ValueError` where a concrete turbidity is below that of air without haze, `low`, or beyond all weather."""
+    """Raise `ValueError` if a concrete turbidity is below `low`, that of air without haze, or above 1e4."""
     check_range("turbidity", turbidity, low, _MOST_TURBIDITY)
 
 
 def _line(relation: Relation) -> tuple[float, float]:
-    """Slope and offset of the haze's optical depth at 550 nm over turbidity."""
+    """Slope and offset of the haze's optical depth at 550 nm as a linear function of turbidity."""
     if relation == "definition":
         air = float(bodhaine_optical_depth(REFERENCE_WAVELENGTH))
         return air, -air
@@ -57,7 +57,7 @@ def _line(relation: Relation) -> tuple[float, float]:
     if relation == "scattering":
         table = read_table("preetham_table2_spectra.csv")
         efficiency = float(np.interp(REFERENCE_WAVELENGTH, table["wavelength_nm"], table["haze_scattering"]))
-        # A.3 with v = 4, times the length straight up of A.4
+        # A.3 with v = 4, times the scale height of A.4
         per_concentration = 0.434 * math.pi * (2.0 * math.pi / (REFERENCE_WAVELENGTH * 1e-9)) ** 2 * efficiency
         column = per_concentration * HAZE_SCALE_HEIGHT
         return column * _CONCENTRATION_SLOPE, column * _CONCENTRATION_OFFSET
@@ -65,16 +65,16 @@ def _line(relation: Relation) -> tuple[float, float]:
 
 
 def turbidity_to_optical_depth(turbidity, relation: Relation = "definition"):
-    r"""Aerosol optical depth at 550 nm by turbidity.
+    r"""Aerosol optical depth at 550 nm from turbidity.
 
-    "definition": $(T - 1)\,\tau_R(550)$ with the sea-level Rayleigh depth. "sunlight": $\beta\, 0.55^{-1.3}$ of
+    "definition": $(T - 1)\,\tau_R(550)$ with the sea-level Rayleigh depth. "sunlight": $\beta\, 0.55^{-1.3}$ with
     `angstrom_coefficient`. "scattering": $0.434\, c\, \pi (2\pi/\lambda)^2 K \cdot 1200$ m, with
     $c = (0.6544\,T - 0.6510)\cdot 10^{-18}$ and $\lambda$ in m.
 
-    **Arguments:** `turbidity` >= 1; `relation`, which of the paper's three statements.
+    **Arguments:** `turbidity` >= 1; `relation`, one of the paper's three statements.
     **Returns:** dimensionless: 0.0971, 0.1007 and 0.0952 at T = 2.
-    **Valid:** T >= 1, or where the line is 0 (0.9952 and 0.9948 of "sunlight" and "scattering"), else `ValueError`;
-    traced ones go on along the line, to negative haze.
+    **Valid:** T from 1 ("sunlight": 0.9952, "scattering": 0.9948), where the optical depth is 0, else `ValueError`;
+    traced values below continue along the line, to a negative optical depth.
     **Source:** Preetham 1999, sec. 2.1, T = (t_m + t_h) / t_m at 550 nm; A.1; A.3 and the scale height of A.4. A.3
     prints $10^{-16}$: the haze of T = 2 would then have an optical depth of 9.5 and T by sec. 2.1 be 80.8.
 
@@ -86,7 +86,7 @@ def turbidity_to_optical_depth(turbidity, relation: Relation = "definition"):
     slope, offset = _line(relation)
     check_turbidity(turbidity, -offset / slope)
     if relation == "definition":
-        # exactly 0 at T = 1
+        # This form is exactly 0 at T = 1
         return (turbidity - 1.0) * slope
     return turbidity * slope + offset
 
@@ -105,13 +105,14 @@ def optical_depth_to_turbidity(optical_depth, relation: Relation = "definition")
 
 
 def hosek_turbidity(optical_depth: float) -> float:
-    """The turbidity by which the model of Hosek & Wilkie 2012 has the pattern of a sky with such a haze.
+    """The turbidity at which the sky model of Hosek & Wilkie 2012 has the pattern of a sky with the given haze.
 
-    His skies were inverted as pictures of unknown level, whose pattern alone tells the haze: they show less contrast
-    toward the sun than a simulation of the haze that their turbidity names, so that it is larger than ours.
+    Skies of that model were inverted as pictures of unknown brightness, so that only their pattern determined the haze.
+    Their contrast toward the sun is lower than in a simulation with the haze their turbidity stands for. The turbidity
+    returned here is therefore larger than skyfit's.
 
     **Arguments:** `optical_depth` of the haze at 550 nm. **Returns:** linear between the turbidities 2 to 8 that were
-    measured, under suns 30 to 75 degrees from the zenith; NaN beyond them.
+    measured, with sun zenith angles of 30 to 75 degrees; NaN beyond them.
     **Source:** experiments/validation/panorama.py, by mitsuba's `sunsky`.
     """
     table = read_table("hosek_turbidity.csv")
@@ -120,7 +121,7 @@ def hosek_turbidity(optical_depth: float) -> float:
 
 
 def _extinctions(haze_scale_height, air_optical_length):
-    """Extinction of air at the ground, and of haze for each unit of turbidity above one, m^-1."""
+    """Extinction coefficients at the ground, m^-1: of air, and of haze per unit of turbidity above one."""
     check_range("haze_scale_height", haze_scale_height, 10.0, 1e6, "m")
     check_range("air_optical_length", air_optical_length, 10.0, 1e6, "m")
     depth = float(bodhaine_optical_depth(REFERENCE_WAVELENGTH))
@@ -135,9 +136,9 @@ def meteorological_range(turbidity, haze_scale_height=HAZE_SCALE_HEIGHT, air_opt
     **Arguments:** `turbidity` >= 1; `haze_scale_height` and `air_optical_length`, vertical column over density at
     the ground, m.
     **Returns:** m: 339 km for pure air, 42 km at T = 2, 15 km at 4, 5.3 km at 10.
-    **Valid:** T from 1, else `ValueError`; traced ones below have the value of pure air. Thick haze lies lower than
-    1200 m: the paper's Fig. 3, as SLIB's author read it ($\log_2 R = 9 / 1.55^{\log_2 T} - 0.5$, km), has 362, 40, 9.5
-    and 3.0 km for these turbidities.
+    **Valid:** T from 1, else `ValueError`; traced values below give the range of pure air. The scale height of thick
+    haze is below 1200 m: the paper's Fig. 3, as SLIB's author read it ($\log_2 R = 9 / 1.55^{\log_2 T} - 0.5$, km),
+    gives 362, 40, 9.5 and 3.0 km for these turbidities.
     **Source:** Preetham 1999, sec. 2.1 (Koschmieder's law, contrast 0.02).
 
     **Example:**
@@ -151,11 +152,11 @@ def meteorological_range(turbidity, haze_scale_height=HAZE_SCALE_HEIGHT, air_opt
 
 
 def turbidity_from_range(distance, haze_scale_height=HAZE_SCALE_HEIGHT, air_optical_length=AIR_OPTICAL_LENGTH):
-    """Turbidity by the meteorological range, the inverse of `meteorological_range`.
+    """Turbidity from the meteorological range, the inverse of `meteorological_range`.
 
-    **Arguments:** `distance`, the range in m; the rest as there. **Returns:** dimensionless.
-    **Valid:** ranges from 1 m, else `ValueError` (traced shorter ones are taken as 1 m), to that of pure air, beyond
-    which it is 1.
+    **Arguments:** `distance`, the range in m; the others as in `meteorological_range`. **Returns:** dimensionless.
+    **Valid:** ranges from 1 m, else `ValueError` (shorter traced ranges are raised to 1 m). Ranges beyond that of pure
+    air give 1.
 
     **Example:**
 

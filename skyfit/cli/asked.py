@@ -1,4 +1,4 @@
-"""What `skyfit invert` is asked for, from words to settings."""
+"""Conversion of the options of `skyfit invert` from text to settings."""
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -28,15 +28,15 @@ _SETS = {"particles": PARTICLE_FREE, "bins": BINS_FREE, "lobes": LOBES_FREE}
 
 
 def names_in(text: str) -> tuple[str, ...]:
-    """Names with commas between them; `particles`, `bins`, `lobes` are those of `PARTICLE_FREE` and so on."""
+    """Names from a comma-separated list; `particles`, `bins`, `lobes` expand to `PARTICLE_FREE` and so on."""
     names = [name.strip() for name in text.split(",") if name.strip()]
     return tuple(one for name in names for one in _SETS.get(name, (name,)))
 
 
 def free_of(text: str | None, sky: Sky, known: Collection[str] = ()) -> tuple[str, ...]:
-    """The names of the free parameters: those asked for, or of a set, or usual for such a sky, all that is not known.
+    """The names of the free parameters: those named in `text`, those of its sets, or the default for the sky.
 
-    Of a set the pointing is left out too where the instrument follows the sun, and so knows where it looks.
+    Sets and the default leave out parameters with known values, and the pointing if the instrument tracks the sun.
     """
     asked = [] if text is None else [name.strip() for name in text.split(",")]
     names = usual_free(sky) if text is None else names_in(text)
@@ -45,14 +45,14 @@ def free_of(text: str | None, sky: Sky, known: Collection[str] = ()) -> tuple[st
 
 
 def values_of_fix(fix: Sequence[str]) -> dict[str, float]:
-    """The values that the user knows, by name."""
+    """The values given by the user, by parameter name."""
     return {name: _value("--fix", name, text) for name, text in _by_name("--fix", "name=value", fix).items()}
 
 
 def start_of(
     free: tuple[str, ...], known: Mapping[str, float], sky: Sky, atmosphere: Atmosphere | None = None
 ) -> SkyModel:
-    """The first guess, or an atmosphere in its place, with the values that the user knows."""
+    """The first guess, or the given atmosphere in its place, with the values given by the user."""
     start = start_at(sky, free) if atmosphere is None else SkyModel(atmosphere)
     check_free(free, start)
     for name in known:
@@ -68,7 +68,7 @@ def start_of(
 def shared_of(
     free: tuple[str, ...], shared: str | None, independent: bool, smooth: Sequence[str], times: int
 ) -> tuple[str, ...]:
-    """What all times have in common: what the user names, else the slow parameters of a file of several times."""
+    """The parameters shared by all times: those the user names, else the slow ones if there are several times."""
     if independent:
         if shared is not None:
             raise ValueError("`--shared` must be left out with `--independent`")
@@ -79,7 +79,7 @@ def shared_of(
 
 
 def priors_of(texts: Sequence[str]) -> dict[str, tuple[float, float] | None]:
-    """Value and sigma of each parameter of which something is known before; None where nothing is to be."""
+    """Prior value and sigma by parameter name; None for a parameter that shall have no prior."""
     form, priors = "name=value,sigma or name=none", {}
     for name, text in _by_name("--prior", form, texts).items():
         if text == "none":
@@ -93,20 +93,20 @@ def priors_of(texts: Sequence[str]) -> dict[str, tuple[float, float] | None]:
 
 
 def smooth_of(texts: Sequence[str]) -> dict[str, float]:
-    """Sigma of the change within an hour of each parameter that is smooth in time."""
+    """Sigma of the change per hour, by name, of the parameters that are smooth in time."""
     entries = _by_name("--smooth", "name=sigma", texts)
     return {name: _positive("--smooth", name, text) for name, text in entries.items()}
 
 
 def response_of(text: str | None) -> Response | None:
-    """The channels that the samples are of: CIE XYZ, linear sRGB or those of a file."""
+    """The response of the samples' channels: CIE XYZ, linear sRGB or that of a file."""
     if text is None:
         return None
     return {"xyz": Response.xyz, "srgb": Response.linear_srgb}.get(text, lambda: read_response(Path(text)))()
 
 
 def samples_of(sky: Sky, times: str | None, mask_sun: float | None) -> Sky:
-    """The sky at the times that are asked for, without what is so near to the sun, degrees."""
+    """The sky at the chosen times, without samples within `mask_sun` degrees of the sun."""
     if times is not None:
         sky = sky.at_times(times_of(times, sky))
     if mask_sun is not None:
@@ -115,7 +115,7 @@ def samples_of(sky: Sky, times: str | None, mask_sun: float | None) -> Sky:
 
 
 def times_of(text: str, sky: Sky) -> np.ndarray:
-    """Indices of the times from a first to a last one, each a number from 1 or an ISO time; one alone is both."""
+    """Indices of the times in first..last, each a number from 1 or an ISO time; a single one is both."""
     first, dots, last = (part.strip() for part in text.partition(".."))
     last = last if dots else first
     number, chosen = np.arange(1, len(sky.time) + 1), np.full(len(sky.time), True)
@@ -126,7 +126,7 @@ def times_of(text: str, sky: Sky) -> np.ndarray:
             axis, limit = number, int(end)
         else:
             axis, limit = sky.time, _moment(text, end)
-            # a day, or a minute, is whole
+            # A last time given as a day or a minute includes all of it
             limit = limit if low else limit + _span(end)
         chosen &= (axis >= limit) if low else (axis <= limit)
     if not chosen.any():
@@ -149,7 +149,7 @@ def _moment(text: str, end: str) -> np.datetime64:
 
 
 def _span(end: str) -> np.timedelta64:
-    """What a time of fewer digits holds after its beginning: of a day all of it, of a second that second."""
+    """The duration after its beginning that a time includes, by its precision: a day, a minute or a second."""
     unit = "D" if len(end) <= 10 else "m" if end.count(":") == 1 and "+" not in end else "s"
     return np.timedelta64(1, unit).astype("timedelta64[ns]") - np.timedelta64(1, "ns")
 

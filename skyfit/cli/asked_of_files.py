@@ -1,4 +1,4 @@
-"""What the commands that read a measured sky are told of it besides its file."""
+"""Options of the commands that read a measured sky, beside its file."""
 
 from pathlib import Path
 from typing import Annotated
@@ -19,7 +19,7 @@ Times = Annotated[
 
 
 def read_asked(path: Path, latitude, longitude, utc_offset, altitude, fwhm, response=None):
-    """The sky of a file, with what the user says of it."""
+    """Read the sky of a file, with the metadata given by the user."""
     from ..measured import read
 
     return read(

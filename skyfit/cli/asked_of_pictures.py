@@ -1,4 +1,4 @@
-"""What `skyfit invert` is told of a picture, and what it writes of one."""
+"""Options of `skyfit invert` for pictures, and the files it writes for them."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -9,9 +9,9 @@ import typer
 from .options import in_range
 
 
-# names of files that are taken for pictures, whose place on the sphere must be told
+# Suffixes of pictures, which need `--projection`
 _SUFFIXES = (".exr", ".hdr", ".png", ".tif", ".tiff", ".jpg", ".jpeg")
-# degrees: a sun farther than this from where time and place put it is told
+# Largest difference between the zenith angles of the sun found and computed that is not reported, degrees
 _FAR = 2.0
 
 
@@ -45,7 +45,7 @@ MomentOption = Annotated[str | None, typer.Option(help="of a picture, ISO, UTC u
 
 
 def check_kind(path: Path, projection: str | None, **of_pictures) -> None:
-    """A `ValueError` for a picture without `--projection`, and for a picture's options with another file."""
+    """Raise `ValueError` for a picture without `--projection`, and for options of pictures with another file."""
     if projection is not None:
         return
     if path.suffix.lower() in _SUFFIXES:
@@ -61,7 +61,7 @@ def panorama_asked(
     path: Path, projection: str, lens, across, azimuth, mirror, mask, encoding, level, response, sun_zenith,
     sun_azimuth, time, at, altitude,
 ):  # fmt: skip
-    """The panorama of a file, with what the user says of it."""
+    """The panorama of a file, read with the user's options, and the sun computed from time and place, if given."""
     import numpy as np
 
     from ..image import read_panorama
@@ -72,7 +72,7 @@ def panorama_asked(
         if sun_zenith is not None and sun_azimuth is None:
             raise ValueError("`--sun-zenith` of a picture must come with `--sun-azimuth`, as a first guess")
         *guess, about = sun_of(sun_zenith, sun_azimuth, time, at, 101325.0, 90.0)
-    # where a picture looks is not known with time and place
+    # Time and place alone do not give the picture's azimuth
     oriented = guess is not None and (at is None or azimuth is not None)
     found = read_panorama(
         path, projection, lens=(0.0, 0.0) if lens is None else _lens(lens),
@@ -88,7 +88,7 @@ def panorama_asked(
 
 
 def told_of_place(panorama, fit, placed) -> str:
-    """Where the sun is in the frame of the picture, and how that goes with time and place."""
+    """A sentence on the sun's position in the picture's frame, compared with that computed from time and place."""
     import numpy as np
 
     zenith, azimuth = (float(np.degrees(angle)) for angle in panorama.fitted_sun(fit))
@@ -103,7 +103,7 @@ def told_of_place(panorama, fit, placed) -> str:
 
 
 def told_of_haze(fit) -> str:
-    """The haze as an optical depth, and as the turbidity of a model whose skies look alike; "" where it is held."""
+    """A sentence on the haze's optical depth and the turbidity of Hosek & Wilkie's similar sky; "" if not fitted."""
     import math
 
     from ..atmosphere import hosek_turbidity, turbidity_to_optical_depth
@@ -122,7 +122,7 @@ def told_of_haze(fit) -> str:
 
 
 def write_pictures(panorama, fit, out: Path) -> list[str]:
-    """Writes the clean sky, its atmosphere and what is left of the picture; the names of the files."""
+    """Write the clean sky, its atmosphere and a drawing of the residual; return the names of the files."""
     import json
 
     import jax
@@ -131,7 +131,7 @@ def write_pictures(panorama, fit, out: Path) -> list[str]:
     from ..atmosphere import describe
     from ..draw import plot_panorama
 
-    # a picture needs no more than float32
+    # float32 is enough for a picture
     with jax.enable_x64(False):
         clean = panorama.clean(fit)
         clean.save(out / "sky.exr")

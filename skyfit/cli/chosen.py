@@ -1,4 +1,4 @@
-"""What `--tolerance` means, for every command: the solver that `choose` finds for all skies of a command."""
+"""The option `--tolerance`: the solver that `choose` finds for all skies of a command."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from .printing import say, warn
 
 
 def allowed_of(context: Context, solver: str, tolerance: str | None, held: tuple[str, ...]) -> float | None:
-    """The error that is allowed, None where none is asked for; refuses the options that the choice decides."""
+    """The tolerance, or None if it is not given; raises if an option is given that the choice of solver decides."""
     if tolerance is None:
         if solver == "auto":
             raise ValueError("`--solver auto` must come with `--tolerance`, to which it is chosen")
@@ -22,7 +22,7 @@ def allowed_of(context: Context, solver: str, tolerance: str | None, held: tuple
 
 
 def scenes_of(sky: Sky, atmosphere: Atmosphere, response: Response | None) -> list[Scene]:
-    """A scene of each time, at the wavelengths of the sky, or of its channels' spectrum, at which the air is known."""
+    """A scene for each time, at the wavelengths of the sky or of its channels' spectrum within the air's range."""
     seen = response or sky.response
     nm = sky.wavelength_nm if seen is None else seen.spectrum(sky.wavelength_nm)
     parts = [part for c in atmosphere.constituents for part in (c, c.phase) if part is not None]
@@ -37,7 +37,7 @@ def scenes_of(sky: Sky, atmosphere: Atmosphere, response: Response | None) -> li
 
 
 def record_of(choice: Choice) -> dict:
-    """What a file keeps of a choice."""
+    """The entries of a choice in a file."""
     return {
         "tolerance": choice.tolerance, "expected_error": choice.expected_error, "met": choice.met,
         "reasons": list(choice.reasons),
@@ -45,7 +45,7 @@ def record_of(choice: Choice) -> dict:
 
 
 def print_choice(choice: Choice) -> None:
-    """Why this solver, and the error to expect of it."""
+    """Print the reasons for the choice of solver, and its expected error."""
     for reason in choice.reasons:
         say(f"  {reason}")
     expected = f"error to expect: {100.0 * choice.expected_error:.2g} % at most"

@@ -29,7 +29,7 @@ class LanguageName(StrEnum):
     lut = "lut"
 
 
-# options of tables alone, and of formulas alone
+# Options for tables only
 _OF_TABLES = ("preset", "height", "sun_azimuth", "azimuth", "elevation", "field_of_view")
 
 
@@ -78,7 +78,7 @@ def export(
     from .models import analytic_of
     from .printing import give, say
 
-    # shaders compute in float32
+    # Shaders compute in float32
     context.with_resource(jax.enable_x64(False))
     model, down = analytic_of(sky), None
     if sun_zenith is not None:
@@ -91,7 +91,7 @@ def export(
 
 
 def _write_tables(context: Context, sky: str, out: Path, turbidity: float | None, sun_zenith: float | None):
-    """Hillaire's tables, by the options of the command."""
+    """Write Hillaire's tables with the options of the command."""
     import json
     from math import radians
 

@@ -1,4 +1,4 @@
-"""What `skyfit invert` prints of a fit, at 80 columns."""
+"""The printed report of `skyfit invert`, 80 columns wide."""
 
 from collections.abc import Iterable
 
@@ -13,17 +13,17 @@ from .printing import console, note, say, show, table
 from .sky_report import short_times
 
 
-# characters between two columns of a table
+# Characters between two columns of a table
 _GAP = 2
-# rejected directions of one time that are named
+# Largest number of rejected directions listed for one time
 _MOST_NAMED = 6
-# of a calibration's prior: what lies further is doubted
+# Deviation of the calibration, in sigma of its prior, beyond which the report expresses doubt
 _FAR = 3.0
 _UNIT = "mW m-2 sr-1 nm-1"
 
 
 def print_fit(fit: Fit) -> None:
-    """Tables of the skies and of their parameters, then what a user should know of them, a sentence a line."""
+    """Print tables of the skies and their parameters, then further information, one sentence per line."""
     places = list(range(len(fit.free)))
     common = [p for p in places if fit.free[p] in fit.shared]
     own = [p for p in places if p not in common]
@@ -84,7 +84,7 @@ def _print_parameters(fit: Fit, t: int, places: list[int], title: str) -> None:
 
 
 def _print_compact(fit: Fit, places: list[int]) -> bool:
-    """One row a time; False, and nothing printed, where that is too wide."""
+    """Print one row per time; if that is too wide, print nothing and return False."""
     _, names = short_times(fit.sky)
     headings = [_heading(fit.free[p]) for p in places]
     rows = [[_cell(fit, t, p) for p in places] for t in range(len(names))]
@@ -108,7 +108,7 @@ def _marks(fit: Fit, t: int, p: int) -> str:
 
 
 def _explain(marks: Iterable[str]) -> None:
-    """A line for the marks that stand in a table."""
+    """Print a line that explains the marks used in a table."""
     used, meaning = "".join(marks), {"!": "at its bound", "?": "not determined"}
     if used:
         say(", ".join(f"{mark} {text}" for mark, text in meaning.items() if mark in used))
@@ -129,7 +129,7 @@ def _cell(fit: Fit, t: int, p: int) -> str:
 
 
 def _open_ends(fit: Fit):
-    """What the data leave open, each sentence once with the times it holds for."""
+    """Sentences on what the data do not determine, each once with the times it applies to."""
     (_, names), times = short_times(fit.sky), {}
     for t, sentences in enumerate(fit.undetermined):
         for sentence in sentences:
@@ -173,7 +173,7 @@ def _about(fit: Fit):
 
 
 def _haze(fit: Fit):
-    """What follows of the optics of spheres, that parameters do not say."""
+    """Lines on derived optical properties of an aerosol of spheres."""
     atmosphere = fit.start.atmosphere
     if not ("aerosol" in atmosphere and isinstance(atmosphere.aerosol, TwoModeAerosol | BinnedAerosol)):
         return

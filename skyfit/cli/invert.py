@@ -55,11 +55,11 @@ FreeOption = Annotated[
     ),
 ]
 PriorOption = Annotated[list[str] | None, typer.Option(help="name=value,sigma known before, or name=none")]
-# that a jackknife leaves out by turns
+# Number of groups of a jackknife, each left out once
 _GROUPS = 10
-# a tolerance chooses for the first guess and for what was fitted with it
+# With a tolerance, the solver is chosen for the first guess, and again for the fitted atmosphere
 _CHOICES = 2
-# degrees; `NoiseModel` ends at half a radian
+# Largest field of view, degrees (`NoiseModel` allows half a radian), and largest number of starts
 _WIDEST_VIEW, _MOST_STARTS = 28.0, 1000.0
 
 
@@ -170,7 +170,7 @@ def invert_command(
         free = ",".join(name for name in panorama.free if name not in known) if free is None else free
     measured = samples_of(measured, times, mask_sun)
     names = free_of(free, measured, known)
-    # what is usual is said to be so
+    # None lets `invert` use its default and say so
     asked = None if free is None and not known else names
     start = start_of(names, known, measured, None if atmosphere is None else atmosphere_of(atmosphere))
     common = shared_of(names, shared, independent, tuple(smoothed), len(measured.time))
@@ -193,7 +193,7 @@ def invert_command(
         spectral = channels is None and measured.response is None
         vector = spectral and solver == "orders" if polarised is None else polarised
         last = make_solver(solver, preset, geometry, vector)
-        # all orders know a coarser solver themselves
+        # For "orders" `invert` makes the coarser solver itself
         first = None if solver == "orders" else make_solver(solver, PresetName.draft, geometry, vector)
         fit = fitted(last, first, start, measurement)
     else:
@@ -211,7 +211,7 @@ def invert_command(
     out.mkdir(parents=True, exist_ok=True)
     files = []
     for write, name in ((save, "fit.json"), (save, "fit.nc"), (plot, "fit.png")):
-        # the numbers are there without an extra
+        # A file that needs a missing optional dependency is skipped
         try:
             write(fit, out / name)
             files.append(name)

@@ -1,4 +1,4 @@
-"""What the help says of the floors beneath without loading them; tests hold it against what they have themselves."""
+"""Names and defaults of other modules for the help text, so that it need not load them; tests compare them."""
 
 SOLVER_NAMES = ("orders", "spherical", "double", "single", "shells", "uniform")
 PARAMETER_NAMES = (
@@ -10,6 +10,6 @@ PARAMETER_NAMES = (
     "ground_albedo", "ground_albedo_slope", "ground_red_edge", "pressure", "pointing_zenith", "pointing_azimuth",
     "sun_zenith_offset",
 )  # fmt: skip
-# of `NoiseModel`, in sigma
+# Default threshold of `NoiseModel`, in sigma
 THRESHOLD = 3.0
 SEA_LEVEL_PRESSURE = 101325.0  # Pa

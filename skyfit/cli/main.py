@@ -14,8 +14,8 @@ from .options import app
 
 # importing a command registers it
 _COMMANDS = (simulate, render, refit, export, convert, invert, perez, sensitivity)
-# compile in about half of the time to programs that run as fast. XLA ends the process over a flag that it does not
-# know, so these are for the jaxlib that they were tried on
+# These flags halve the compile time, and the programs run as fast. XLA aborts on an unknown flag, so they are used only
+# with the jaxlib on which they were tested
 _FLAGS = "--xla_cpu_use_fusion_emitters=false", "--xla_backend_optimization_level=1"
 _TRIED_ON = "0.10.2"
 
@@ -37,10 +37,10 @@ def _program(
 
 def main() -> None:
     """The entry point: double precision, a persistent compilation cache, one-line errors with exit code 2."""
-    # all but what ends the program: XLA finds it worth a report to its makers that a compilation takes long
+    # Show only fatal messages: XLA would ask users to report long compilations
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "skyfit"
-    # for JAX, which a command loads when it runs
+    # Settings of JAX, which a command loads when it runs
     os.environ.update(
         JAX_ENABLE_X64="1",
         JAX_COMPILATION_CACHE_DIR=str(cache),

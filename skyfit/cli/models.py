@@ -1,4 +1,4 @@
-"""Solvers, atmospheres and spectra from the words of options."""
+"""Solvers, atmospheres and spectra from the text of options."""
 
 import math
 from collections.abc import Callable
@@ -35,7 +35,7 @@ kept_radiance = kept(_radiance, lambda *_: 0)
 
 
 def make_solver(name: str, preset: PresetName, geometry: GeometryName, polarised: bool = False) -> AbstractSolver:
-    """The solver of some words; only `orders` may be polarised."""
+    """The solver with a name, preset and geometry; only `orders` may be polarised."""
     if name not in SOLVERS:
         raise ValueError(f"`--solver` must be one of {', '.join(SOLVERS)}, got {name!r}")
     if name == "uniform" and geometry is not GeometryName.flat:
@@ -48,14 +48,14 @@ def make_solver(name: str, preset: PresetName, geometry: GeometryName, polarised
     return getattr(SOLVERS[name], preset.value)(geometry.value, **settings)
 
 
-# analytic skies by name
+# Names of analytic skies
 FORMULAS = ("extended", "published")
 
 
 def analytic_of(name: str, said: str = "the sky must be one of"):
-    """The analytic sky of a name among `FORMULAS`, or of a file of coefficients; loaded by who asks for one.
+    """The analytic sky with a name among `FORMULAS`, or of a file of coefficients.
 
-    **Errors:** `ValueError` that begins as `said`.
+    **Errors:** `ValueError` that begins with `said`.
     """
     from ..analytic import ExtendedPreetham, Preetham
     from ..records import read_coefficients
@@ -75,7 +75,7 @@ def make_atmosphere(
     ozone: float,
     pressure: float,
 ) -> Callable:
-    """An `Atmosphere` by the haze's optical depth at 550 nm, which may be traced; checks what the user gave."""
+    """A function from the haze's optical depth at 550 nm, maybe traced, to an `Atmosphere`; checks the options."""
     haze = {
         "angstrom_exponent": in_range("--angstrom-exponent", angstrom_exponent, -1.0, 4.0),
         "single_scattering_albedo": in_range("--single-scattering-albedo", single_scattering_albedo, 0.0, 1.0),
@@ -89,7 +89,7 @@ def make_atmosphere(
 
 
 def atmosphere_of(path: Path) -> Atmosphere:
-    """The atmosphere of a TOML or JSON file, in the layout of `describe`, or of what made a simulated file."""
+    """The atmosphere of a TOML or JSON file in the layout of `describe`, which simulated files use, too."""
     import json
     import tomllib
 
@@ -104,7 +104,7 @@ def atmosphere_of(path: Path) -> Atmosphere:
 
 
 def in_words(solver: AbstractSolver) -> str:
-    """Which solver it is, of what light."""
+    """The solver in words: name, geometry, streams and polarisation."""
     name = type(solver).__name__
     if not isinstance(solver, OrdersOfScattering):
         return f"{name}, {solver.geometry}, scalar (polarisation left out)"
@@ -113,13 +113,13 @@ def in_words(solver: AbstractSolver) -> str:
 
 
 def sizes(free: tuple[str, ...], scene: Scene, atmosphere: Atmosphere) -> str:
-    """What a program is compiled for besides its solver."""
+    """What a program is compiled for beside its solver, in words: sizes, constituents and free parameters."""
     shape = f"{scene.view.zenith.shape[0]} directions, {scene.wavelength_nm.shape[0]} wavelengths"
     return f"{shape}, {', '.join(atmosphere.names)}; {', '.join(free)}"
 
 
 def settings_of(solver: AbstractSolver) -> dict:
-    """The name and all settings of a solver, as a file holds them."""
+    """The name and all settings of a solver, for a file."""
     return {"name": type(solver).__name__} | {field.name: getattr(solver, field.name) for field in fields(solver)}
 
 
@@ -136,12 +136,12 @@ def tolerance_of(text: str) -> float:
 
 
 def precision() -> str:
-    """The float type that JAX computes in."""
+    """The name of JAX's default float type."""
     return str(jnp.result_type(float))
 
 
 def wavelengths_of(text: str) -> np.ndarray:
-    """Wavelengths from "first:last:step" or a list with commas, nm."""
+    """Wavelengths from "first:last:step" or a comma-separated list, nm."""
     try:
         parts = np.array([float(part) for part in text.split(":" if ":" in text else ",")])
     except ValueError:
@@ -160,7 +160,7 @@ def wavelengths_of(text: str) -> np.ndarray:
 def turbidity_of(
     turbidity: float | None, optical_depth: float | None, range_km: float | None, haze_height: float
 ) -> float:
-    """Preetham's turbidity from the one of its measures that was given."""
+    """Preetham's turbidity from the given one of turbidity, optical depth and meteorological range."""
     if sum(value is not None for value in (turbidity, optical_depth, range_km)) != 1:
         raise ValueError(
             "exactly one of `--turbidity`, `--aerosol-optical-depth` and `--meteorological-range` must be given"

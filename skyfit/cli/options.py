@@ -1,4 +1,4 @@
-"""What the commands share: the application, options and checks. Help texts load neither jax nor a solver."""
+"""The application, and the options and checks shared by commands. Help texts load neither jax nor a solver."""
 
 import os
 from collections.abc import Callable, Iterable
@@ -16,7 +16,7 @@ from .known import SOLVER_NAMES
 if TYPE_CHECKING:
     Context = typer.Context
 else:
-    # what typer hands over is of the class that its own is made of
+    # typer passes an instance of the base class of its own Context
     Context = typer.Context.__base__
 
 app = typer.Typer(
@@ -31,7 +31,7 @@ def _speak(**how: bool) -> None:
     speak(**how)
 
 
-# what every command takes: it decides how it is spoken of, and is no setting of the work
+# Options of every command: they affect the output only
 _OF_EVERY_COMMAND = {
     "quiet": typer.Option(
         "--quiet", help="only warnings and errors", expose_value=False, callback=lambda value: _speak(quiet=value)
@@ -44,7 +44,7 @@ _OF_EVERY_COMMAND = {
 
 
 def command(name: str, example: str) -> Callable[[Callable], Callable]:
-    """Makes a function the command of that name, with an example under its help and what every command takes."""
+    """Register a function as the command `name`, with an example in its help and the options of every command."""
 
     def register(function: Callable) -> Callable:
         @wraps(function)
@@ -56,7 +56,7 @@ def command(name: str, example: str) -> Callable[[Callable], Callable]:
             Parameter(key, Parameter.KEYWORD_ONLY, default=False, annotation=Annotated[bool, option])
             for key, option in _OF_EVERY_COMMAND.items()
         ]
-        # typer reads a command's options from these
+        # typer reads a command's options from its signature
         run.__signature__ = own.replace(parameters=[*own.parameters.values(), *shared])  # pyright: ignore[reportAttributeAccessIssue]
         app.command(name, epilog=f"Example: {example}")(run)
         return function
@@ -121,7 +121,7 @@ AtmosphereOption = Annotated[
     Path | None,
     typer.Option("--atmosphere", help="TOML or JSON with constituents and ground, instead of their options"),
 ]
-# what a file of an atmosphere holds
+# Options that a file given by `--atmosphere` replaces
 OF_ATMOSPHERES = (
     "angstrom_exponent", "single_scattering_albedo", "asymmetry", "haze_height", "ground_albedo", "ozone", "pressure",
 )  # fmt: skip
@@ -134,22 +134,22 @@ def in_range(name: str, value: float, low: float, high: float) -> float:
 
 
 def check_file(path: Path) -> None:
-    """Before the work: whether a file can lie there."""
+    """Raise `ValueError`, before the work, if a file cannot be written there."""
     if not path.absolute().parent.is_dir() or path.is_dir():
         raise ValueError(f"`--out` must be a file in a folder that is there, got {path}")
 
 
 def check_folder(path: Path) -> None:
-    """Before the work: whether the folder is there or can be made; it is made when there is something to write."""
+    """Raise `ValueError`, before the work, if the folder neither exists nor can be made. It is not made here."""
     nearest = next(place for place in (path, *path.absolute().parents) if place.exists())
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
         raise ValueError(f"`--out` must be a folder that can be made, got {path}")
 
 
 def end(results: Iterable[tuple[str, str]]) -> None:
-    """Ends the program with code 3 where a search did not come to its end, such as at its limit of steps.
+    """Exit with code 3 if a search did not converge, for example at its limit of steps.
 
-    **Arguments:** what was sought, and how its search ended.
+    **Arguments:** pairs of what was searched and how the search ended.
     """
     from .printing import warn
 
@@ -160,7 +160,7 @@ def end(results: Iterable[tuple[str, str]]) -> None:
 
 
 def refuse(context: Context, options: tuple[str, ...], beside: str) -> None:
-    """A `ValueError` for an option that was typed where another decides."""
+    """Raise `ValueError` if one of `options` is on the command line although `beside` replaces it."""
     for held in options:
         source = context.get_parameter_source(held)
         if source is not None and source.name == "COMMANDLINE":

@@ -1,4 +1,4 @@
-"""What `skyfit perez` says of its fits: a print at 80 columns, and the table of the file for programs."""
+"""The report of `skyfit perez`: a printed table of 80 columns, and a record of the written file for programs."""
 
 import csv
 import math
@@ -10,7 +10,7 @@ from .sky_report import short_times
 
 
 def print_perez(found: SkyPerez) -> None:
-    """A row for each time and kind of light, then what a user should know of the sky and of what did not settle."""
+    """Print a row for each time and kind of light, then notes on the sky and the number of unusable fits."""
     name = f"{found.light[0]} of " if len(found.light) == 1 else ""
     day, names = short_times(found.sky)
     rows = table(f"Perez' parameters of the {name}{found.sky.source}{day and f', {day}'}, +- sigma")
@@ -34,7 +34,7 @@ def print_perez(found: SkyPerez) -> None:
 
 
 def record_of(path: Path) -> dict:
-    """The rows of the file that was written; what is not finite is null."""
+    """The rows of the written file; numbers that are not finite become null."""
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     return {"file": str(path), "fits": [{name: _value(name, text) for name, text in row.items()} for row in rows]}

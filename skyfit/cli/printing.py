@@ -1,4 +1,4 @@
-"""How the commands print: on two consoles, in sentences and tables, with a bar while they work."""
+"""Printing of the commands: sentences and tables on two consoles, and a progress bar."""
 
 import json
 import textwrap
@@ -19,19 +19,19 @@ notices = Console(stderr=True, highlight=False)
 
 
 def speak(quiet: bool | None = None, as_json: bool | None = None) -> None:
-    """Whether nothing is said but what a user must know, and whether a document has standard output for itself."""
+    """Set whether only warnings are printed, and whether standard output is reserved for a JSON document."""
     console.quiet = console.quiet if quiet is None else quiet
     console.stderr = console.stderr if as_json is None else as_json
 
 
 def give(record: dict) -> None:
-    """The result as one JSON document on standard output, where `--json` asked for it."""
+    """Print the result as one JSON document on standard output if `--json` is given."""
     if console.stderr:
         print(json.dumps(record, indent=1, allow_nan=False))
 
 
 def say(sentence: str, on: Console = console) -> None:
-    """A sentence in lines that end between words: a word wider than the window stays whole."""
+    """Print a sentence wrapped between words; a word wider than the window stays whole."""
     begin = sentence[: len(sentence) - len(sentence.lstrip())]
     wide = {"break_long_words": False, "break_on_hyphens": False, "subsequent_indent": f"{begin}  "}
     lines = textwrap.wrap(sentence.lstrip(), on.width, initial_indent=begin, **wide)
@@ -39,17 +39,17 @@ def say(sentence: str, on: Console = console) -> None:
 
 
 def note(sentence: str) -> None:
-    """What a user should know of a result, told on standard error where nothing else is told."""
+    """Print a note on a result; with `--quiet` on standard error."""
     say(f"note: {sentence}", notices if console.quiet else console)
 
 
 def complain(sentence: str) -> None:
-    """One line, however long, on standard error."""
+    """Print an error as one line, of any length, on standard error."""
     notices.print(f"skyfit: {sentence}", style="red", markup=False, soft_wrap=True)
 
 
 def warn(sentence: str) -> None:
-    """One line on standard error of what does not end the work."""
+    """Print a warning as one line on standard error."""
     notices.print(f"note: {sentence}", markup=False, soft_wrap=True)
 
 
@@ -62,13 +62,13 @@ def table(title: str) -> Table:
 
 
 def show(rows: Table) -> None:
-    """A table under its title: lines of a cell end between words, and a table too wide for the window stays whole."""
+    """Print a table below its title; cells wrap between words, and a table wider than the window is not cut."""
     title, rows.title = rows.title, None
     say(str(title))
     for column in rows.columns:
         cells = [str(cell) for cell in (column.header, *column.cells)]
         column.min_width = max(len(word) for cell in cells for word in ("", *cell.split()))
-        # what cannot end its lines elsewhere is not what has to give way
+        # A column whose cells cannot wrap shall not be narrowed
         column.no_wrap = column.min_width == max(len(line) for cell in cells for line in ("", *cell.splitlines()))
     console.print(rows, markup=False, crop=False)
     console.print()
@@ -76,12 +76,12 @@ def show(rows: Table) -> None:
 
 @contextmanager
 def progress(title: str, kind: str = "", size: str = ""):
-    """A bar on standard error, with how long the like took before; yields `progress(done, of)`.
+    """Show a progress bar on standard error, with the time that such calls took before; yield `progress(done, of)`.
 
-    `kind` of call and `size` of it, in words that are the same where the same programs are run; "" tells of no time.
+    `kind` and `size` of the call are texts that are equal if the same programs run; with `kind` "" no time is shown.
     """
     columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
-    # a file gets no bar, nor the empty line that would end it
+    # If standard error is a file it gets neither a bar nor the empty line after it
     hidden = console.quiet or not notices.is_terminal
     with waiting(kind, size) as told:
         with Progress(*columns, console=notices, transient=True, disable=hidden) as bar:

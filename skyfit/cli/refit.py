@@ -167,7 +167,7 @@ def refit_command(
 
 
 def _by_depth(air: "Atmosphere", path: Path) -> Callable:
-    """The atmosphere of a file by its haze's optical depth at 550 nm, which may be traced."""
+    """A function from the haze's optical depth at 550 nm, maybe traced, to the file's atmosphere with that haze."""
     from ..atmosphere import Aerosol, TwoModeAerosol
 
     haze = air.aerosol if "aerosol" in air else None
@@ -177,7 +177,7 @@ def _by_depth(air: "Atmosphere", path: Path) -> Callable:
 
 
 def _haze(form: FormName, haze: HazeName | None, asymmetry: float | None) -> tuple[HazeName, float | None]:
-    """The phase function that is meant and its asymmetry: as named, or the usual one of the form."""
+    """The phase function and its asymmetry, as given by the options or the default of the form."""
     if haze is HazeName.bullrich and asymmetry is not None:
         raise ValueError("`--asymmetry` must be left out with `--haze bullrich`, a table")
     usual = HazeName.bullrich if form is FormName.linear and asymmetry is None else HazeName.henyey_greenstein

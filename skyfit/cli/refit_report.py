@@ -1,4 +1,4 @@
-"""What `skyfit refit` prints and draws."""
+"""The printed report and the drawing of `skyfit refit`."""
 
 from pathlib import Path
 
@@ -9,9 +9,9 @@ from ..draw import plot_skies
 from .printing import say, show, table
 
 
-# a table of more skies than this is one of suns
+# Largest number of skies with one row each; if there are more, the table has one row per sun
 _MOST_ROWS = 100
-# sun zenith in degrees and turbidity of the skies that are drawn
+# Sun zenith angle in degrees and turbidity of the drawn skies
 _DRAWN = {
     "linear": ((22.5, 2.0), (45.0, 3.0), (60.0, 4.0), (75.0, 6.0)),
     "extended": ((30.0, 1.0), (60.0, 2.0), (77.0, 4.0), (85.5, 6.5), (91.0, 2.0)),
@@ -48,7 +48,7 @@ def print_refit(result: Refit) -> None:
 
 
 def _table_rows(skies: Comparison):
-    """Sun, turbidity and which skies of a row: each sky, or each sun where they are many."""
+    """Sun, turbidity and the selected skies for each row: one row per sky, or per sun if there are many skies."""
     degrees = np.degrees(skies.sun_zenith)
     if degrees.size <= _MOST_ROWS:
         return [(f"{degrees[i]:.1f}", f"{skies.turbidity[i]:g}", [i]) for i in range(degrees.size)]
@@ -70,11 +70,11 @@ def _text(value: float, digits: int) -> str:
 
 
 def draw_skies(result: Refit, path: Path, form: str) -> None:
-    """Some skies of the form as simulated and by both models."""
+    """Draw some skies as simulated and by both models."""
     fitted, degrees = result.fitted, np.degrees(result.fitted.sun_zenith)
     drawn = [int(np.argmin(np.abs(degrees - s) + 100.0 * np.abs(fitted.turbidity - t))) for s, t in _DRAWN[form]]
     models = {"published": result.published, "refitted": result.refitted}
-    # a model without an answer in one of them would only be noise
+    # A model that is not valid for all drawn skies is omitted
     known = {n: m for n, m in models.items() if np.all(np.isfinite(fitted.luminance_error[n][drawn]))}
     answers = {n: model_xyz(m, result.view, fitted) for n, m in known.items()}
     rows = [

@@ -148,7 +148,7 @@ def render(
     from .sequence import begin, Frame, frames_of
     from .sun import seen_at, sun_of
 
-    # a picture needs no more than float32
+    # float32 is enough for a picture
     context.with_resource(jax.enable_x64(False))
     check_file(out)
     check_saving(out, exposure, white_balance, space.value, half)
@@ -159,7 +159,7 @@ def render(
     asked: dict = {}
     allowed = allowed_of(context, solver, tolerance, ("preset",))
     if allowed is not None or solver in SOLVERS:
-        # the choice waits for the suns, of which the sphere knows most
+        # The solver is chosen below, once the suns are known; `Spherical` has the widest range of suns
         chosen = Spherical.normal()
         if allowed is None:
             chosen = make_solver(solver, preset, GeometryName.flat if solver == "uniform" else GeometryName.spherical)
@@ -191,7 +191,7 @@ def render(
         around = todo[len(todo) // 2].azimuth
     choice = None
     if allowed is not None:
-        # an eye's height is the ground's
+        # The eye's default height counts as the ground
         observer = None if height == EYE else height
         scenes = [Scene.from_degrees(f.zenith, hemisphere(343), SPECTRUM, f.azimuth, height=observer) for f in todo]
         assert isinstance(sky, Atmosphere)
@@ -240,7 +240,7 @@ def render(
 
 
 def _told_of(frames, out: Path) -> None:
-    """Of a time-lapse; its contact sheet."""
+    """Print a summary of a time-lapse and write its contact sheet."""
     from ..draw import plot_contact_sheet
     from .printing import say, written
 

@@ -23,7 +23,7 @@ from .options import (
 )
 
 
-# directions that are chosen among, besides those of the scan: so many, down to this zenith angle, degrees
+# Number of candidate directions beside those of the scan, and their largest zenith angle, degrees
 _CANDIDATES, _LOWEST = 343, 80.0
 _MOST_NEXT = 100.0
 
@@ -110,7 +110,7 @@ def sensitivity_command(
 
 
 def _seen(sky):
-    """The directions of a time that hold samples, and the wavelengths that a model knows."""
+    """The directions with usable samples, and the wavelengths within the model's range and outside gas bands."""
     import numpy as np
 
     from ..light.solar import SPECTRUM_NM

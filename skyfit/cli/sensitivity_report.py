@@ -1,4 +1,4 @@
-"""What `skyfit sensitivity` says of a scan: a record for a file, and its print at 80 columns."""
+"""The report of `skyfit sensitivity`: a record for a file, and its printed form, 80 columns wide."""
 
 from collections.abc import Mapping
 
@@ -12,7 +12,7 @@ from .printing import say, show, table
 
 
 def prior_sigmas(names: tuple[str, ...], given: Mapping[str, tuple[float, float] | None]) -> np.ndarray:
-    """How well each name is known before: as the user says, by climatology as `invert` has it, or not at all."""
+    """Prior sigma of each name: as given by the user, else by climatology as in `invert`, else infinite."""
     strange = [name for name in given if name not in names]
     if strange:
         raise ValueError(f"`--prior` must name free parameters ({', '.join(names)}), got {strange[0]!r}")
@@ -24,7 +24,7 @@ def record_of(
     sky: Sky, sun: list[float], spectrum, relative: float, names: tuple[str, ...], values, covariance, prior_sigma,
     after: Directions, sigma_after,
 ) -> dict:  # fmt: skip
-    """Everything that was found, in names and numbers as JSON holds them; what is infinite is null."""
+    """All results as names and numbers for JSON; infinite sigmas become null."""
     sigma = np.sqrt(np.diagonal(covariance))
     finite = np.where(np.isfinite(sigma) & (sigma > 0.0), sigma, 1.0)
     correlation = np.where(np.eye(len(names)) > 0.0, 1.0, covariance / finite[:, None] / finite)
@@ -57,7 +57,7 @@ def _number(value) -> float | None:
 
 
 def print_sensitivity(record: dict) -> None:
-    """The parameters with their sigma after the scan and after the chosen directions, then these in order."""
+    """Print the parameters with their sigma after the scan and after the chosen directions, then these directions."""
     following = record["next"]
     title = f"{record['scan']}, sun zenith {record['sun_zenith']:.1f} degrees, {record['directions']} directions"
     rows = table(f"{title}, {len(record['wavelength_nm'])} wavelengths with {record['relative_noise']:.1%} noise")

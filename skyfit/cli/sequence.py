@@ -1,4 +1,4 @@
-"""A time-lapse: numbered frames, of which those that are there already stay."""
+"""A time-lapse of numbered frames; existing frames are kept."""
 
 import hashlib
 import json
@@ -15,7 +15,7 @@ from .sun import moment_in, seen_at, sun_of
 
 
 class Frame(NamedTuple):
-    """A picture to be made: its file, its time as text, its sun, degrees, and the zenith angle it is seen at."""
+    """A picture to render: file, time as text; zenith angle, azimuth and refracted zenith angle of the sun, degrees."""
 
     path: Path
     time: str | None
@@ -32,7 +32,7 @@ class Frame(NamedTuple):
 def frames_of(
     out: Path, first: str | None, until: str, count: int | None, at: str | None, pressure: float, lowest: float
 ) -> list[Frame]:
-    """The frames from one time to another, evenly, and the suns that they have; arguments as the options."""
+    """Frames evenly spaced from one time to another, with their suns; arguments as the options."""
     if first is None or at is None or count is None:
         raise ValueError("`--until` must come with `--time`, `--at` and `--frames`")
     in_range("--frames", count, 2, 10000)
@@ -54,12 +54,12 @@ def frames_of(
 
 
 def begin(out: Path, frames: Sequence[Frame], settings: Mapping[str, object]) -> None:
-    """Says beside the frames what they are made with, or that those that are there are others.
+    """Write the settings of the frames to a file beside them.
 
-    **Errors:** `ValueError` where frames of other settings lie, or of settings that nothing tells.
+    **Errors:** `ValueError` if frames exist that have other or unknown settings.
     """
     path = out.with_name(f"{out.name}.frames.json")
-    # a file that an option names may be another by the next call
+    # The content of a file named by an option may change until the next call
     files = {name: value for name, value in settings.items() if isinstance(value, str | Path) and Path(value).is_file()}
     contents = {name: hashlib.sha256(Path(value).read_bytes()).hexdigest() for name, value in files.items()}
     record = {"skyfit_version": skyfit_version(), "options": dict(settings), "sha256": contents}

@@ -34,7 +34,7 @@ from .options import (
 )
 
 
-# what only a simulation heeds
+# Options that an analytic sky does not use
 _OF_SIMULATIONS = (
     *OF_ATMOSPHERES, "atmosphere", "fwhm", "solver", "preset", "geometry", "polarised", "tolerance",
 )  # fmt: skip
@@ -123,7 +123,7 @@ def simulate(
     view = hemisphere(343) if directions is None else Directions(*read_directions(directions))
     spectrum = wavelengths_of(wavelengths)
     irradiance = "astm_g173" if analytic is None else "unit"
-    # the sun of an analytic sky is in its coefficients
+    # An analytic sky's coefficients include the solar irradiance
     day = None if time is None or analytic is not None else day_of_year(about["time"][0])
     scene = Scene.from_degrees(zenith, view, spectrum, azimuth, day, fwhm_nm=fwhm, irradiance=irradiance)
     choice = None if allowed is None else choose(air, scene, allowed)
@@ -133,11 +133,11 @@ def simulate(
     with progress("simulating", kind, sizes((), scene, air)):
         if analytic is None:
             keep_in(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
-            # said once, in the command's own words
+            # The command prints its own warnings below
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", LowSunWarning)
                 chosen = chosen.suited(air, scene.wavelength_nm)
-                # what is traced is not checked
+                # Checked here with concrete values, because traced ones are not checked
                 check_scene(chosen, air, scene)
                 found = kept_radiance(chosen, air, scene)
             for said in (low_sun(chosen, scene.sun_zenith), chosen.doubt(air)):
@@ -155,7 +155,7 @@ def simulate(
     about |= {"made_by": {"skyfit_version": skyfit_version(), "model": model, "precision": precision()} | made_by}
     low, high, _ = STATION_RANGES["pressure_pa"]
     if analytic is None and given is None:
-        # air that no station has is told by what made the sky alone
+        # A pressure outside the range of stations is recorded in `made_by` only
         about |= {"ozone_du": ozone, "pressure_pa": pressure if low <= pressure <= high else np.nan}
     sky = Sky(
         radiance=radiance[None], sigma=None, usable=np.isfinite(radiance[None]),
@@ -175,7 +175,7 @@ def simulate(
 
 
 def _given_atmosphere(context: Context, path: Path):
-    """The atmosphere of a file; refuses the options that it holds."""
+    """The atmosphere of a file; raises if options are given that it replaces."""
     from .models import atmosphere_of
 
     refuse(
@@ -187,7 +187,7 @@ def _given_atmosphere(context: Context, path: Path):
 
 
 def _analytic_sky(context: Context, name: str):
-    """The analytic sky of a name or a file, and the lowest sun that it takes, degrees; refuses what it holds itself."""
+    """The analytic sky of a name or file and its largest sun zenith angle, degrees; raises for options it replaces."""
     from .models import analytic_of
 
     refuse(context, _OF_SIMULATIONS, "`--coefficients`, whose atmosphere is that of their fit")

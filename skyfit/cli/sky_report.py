@@ -1,4 +1,4 @@
-"""What `skyfit convert` says of a sky: its print, and a record for programs."""
+"""The report of `skyfit convert` on a sky: its printed form, and a record for programs."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,12 +13,12 @@ from ..retrieve.sampling import GAS_BANDS_NM
 from .printing import console, note, say
 
 
-# names of one list that are shown
+# Largest number of wavelengths that are listed
 _MOST = 12
 
 
 def print_sky(sky: Sky) -> None:
-    """A line or more for the instrument, its place, times, sun, wavelengths, views, samples and unit; then notes."""
+    """Print the instrument, station, times, sun, wavelengths, views, samples and unit, then notes."""
     say(f"{sky.source}: {sky.instrument or 'a sky'}")
     lines = Table.grid(padding=(0, 2, 0, 0))
     lines.add_column(no_wrap=True)
@@ -33,7 +33,7 @@ def print_sky(sky: Sky) -> None:
 
 
 def record_of(sky: Sky, path: Path) -> dict:
-    """What was understood of a sky that went to a file, and how many samples are of use."""
+    """What was understood of a sky written to a file, and its number of usable samples."""
     return {
         "file": str(path), "source": sky.source, "instrument": sky.instrument, "times": list(time_names(sky)),
         "understood": {name: told for name, told in _understood(sky) if name}, **sky.counts(),
@@ -42,7 +42,7 @@ def record_of(sky: Sky, path: Path) -> dict:
 
 
 def short_times(sky: Sky) -> tuple[str, list[str]]:
-    """The day, if all times are of one, and each time as short as that allows."""
+    """The day, if it is the same for all times (else ""), and the times, without the day if it is."""
     names = [name.replace("T", " ").removesuffix(":00Z") for name in time_names(sky)]
     day = names[0].partition(" ")[0]
     if np.isnat(sky.time).any() or not all(name.startswith(f"{day} ") for name in names):

@@ -1,4 +1,4 @@
-"""The sun of a simulation: as its angles are given, or where time and place put it."""
+"""The sun's position for a simulation, from its angles or from time and place."""
 
 import numpy as np
 
@@ -10,9 +10,9 @@ from .options import in_range
 def sun_of(
     zenith: float | None, azimuth: float | None, time: str | None, at: str | None, pressure: float, lowest: float
 ) -> tuple[float, float, dict]:
-    """Zenith angle and azimuth in degrees, and what a `Sky` holds of time and place.
+    """Zenith angle and azimuth in degrees, and the fields of a `Sky` for time and place.
 
-    **Arguments:** the options as they are given; `lowest`, the largest zenith angle that the model takes.
+    **Arguments:** the options as given; `lowest`, the largest zenith angle in the model's range.
     """
     moment = np.datetime64("NaT", "ns") if time is None else moment_in("--time", time)
     about: dict = {"time": np.array([moment])}
@@ -23,7 +23,7 @@ def sun_of(
     if time is None or zenith is not None or azimuth is not None:
         raise ValueError("`--at` must come with `--time`, and without `--sun-zenith` and `--sun-azimuth`")
     latitude, longitude = _place(at)
-    # light comes along straight rays here
+    # Half of the refraction: light of straight rays is then closest to that of refracted rays (see `solar_position`)
     found = solar_position(about["time"], latitude, longitude, pressure=pressure, refracted=0.5)
     zenith, azimuth = (round(float(np.degrees(angle[0])), 10) for angle in found)
     in_range("--time and --at: sun zenith", zenith, 0.0, lowest)
@@ -31,7 +31,7 @@ def sun_of(
 
 
 def seen_at(zenith: float, time: str | None, at: str | None, pressure: float) -> float:
-    """Where the sun of `sun_of` is seen, degrees from the zenith: refraction lifts it wholly; else as it is given."""
+    """Refracted zenith angle of the sun of `sun_of`, degrees; without time and place the given angle."""
     if time is None or at is None:
         return zenith
     found, _ = solar_position(np.array([moment_in("--time", time)]), *_place(at), pressure=pressure)

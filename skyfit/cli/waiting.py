@@ -1,4 +1,4 @@
-"""How long a call will take: as long as the like of it took here before, which is kept beside the programs."""
+"""Estimate of a call's duration from earlier similar calls; durations are stored beside the compiled programs."""
 
 import json
 import os
@@ -8,16 +8,16 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
-# s: less is no wait
+# Shorter durations are not reported, s
 _SHORT = 2.0
 _FILE = "durations.json"
 
 
 @contextmanager
 def waiting(kind: str, size: str) -> Iterator[str]:
-    """Yields words to go with the title of the work, and keeps how long the block took if it succeeds.
+    """Yield a text for the title of the work, and store how long the block took if it succeeds.
 
-    **Arguments:** `kind` of call, "" of which nothing is kept; `size`, of which programs are compiled anew.
+    **Arguments:** `kind` of call, "" to store nothing; `size`: each size needs programs of its own.
     """
     folder = os.environ.get("JAX_COMPILATION_CACHE_DIR")
     if not kind or folder is None:
@@ -27,18 +27,18 @@ def waiting(kind: str, size: str) -> Iterator[str]:
     yield _words(known[kind] if _is_entry(known.get(kind)) else {}, size)
     took = time.monotonic() - began
     compiled = _programs(Path(folder)) != before
-    # another process may have kept some of its own in the meantime
+    # Another process may have stored durations in the meantime
     known = _read(Path(folder))
     if not _is_entry(known.get(kind)):
         known[kind] = {"compiled": None, "sizes": {}}
     entry = known[kind]
     if compiled:
         entry["compiled"] = took
-    # what compiled once is quicker the next time
+    # A call that compiled will be faster the next time
     entry["sizes"][size] = None if compiled else took
     from ..measured import atomic
 
-    # a folder that cannot be written to costs the estimate, no result
+    # If the folder is not writable only the estimate is lost
     with suppress(OSError, ValueError):
         Path(folder).mkdir(parents=True, exist_ok=True)
         with atomic(Path(folder) / _FILE) as part:
@@ -46,7 +46,7 @@ def waiting(kind: str, size: str) -> Iterator[str]:
 
 
 def _is_entry(known: object) -> bool:
-    """Whether it is what `waiting` keeps: of a foreign file nothing is told."""
+    """Whether `known` has the structure that `waiting` stores; entries of foreign files are ignored."""
     if not isinstance(known, dict) or not isinstance(known.get("sizes"), dict):
         return False
     return all(isinstance(v, float | None) for v in (known.get("compiled"), *known["sizes"].values()))
@@ -69,7 +69,7 @@ def _about(seconds: float) -> str:
 def _read(folder: Path) -> dict:
     try:
         return dict(json.loads((folder / _FILE).read_text(encoding="utf-8")))
-    # a file that is cut or foreign tells nothing
+    # A truncated or foreign file is ignored
     except (OSError, ValueError, TypeError):
         return {}
 

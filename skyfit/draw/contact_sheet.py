@@ -1,4 +1,4 @@
-"""Many small pictures on one page."""
+"""A contact sheet: many small pictures on one page."""
 
 import os
 from collections.abc import Sequence
@@ -8,18 +8,19 @@ import numpy as np
 from .page import figure_maker, write_figure
 
 
-_ACROSS = 11.0  # inches
-# a page has no more pictures, of more an even choice, and no more in a row, or their titles would meet
+_ACROSS = 11.0  # width of the page, inches
+# Largest number of pictures on a page and in a row; with more in a row their titles would overlap
 _MOST, _MOST_ACROSS = 48, 5
-# pixels of a picture that are drawn from left to right
+# Largest width of a drawn picture, pixels
 _PIXELS = 512
 
 
 def plot_contact_sheet(pictures: Sequence[str | os.PathLike], titles: Sequence[str], path: str | os.PathLike) -> None:
-    """PNG files of one size side by side, in rows, each with its title.
+    """Draw PNG files of one size in rows, each with its title.
 
     **Arguments:** `pictures`, at least one, and as many `titles`; `path`, `*.png`, `*.pdf` or `*.svg`.
-    **Valid:** of more than 48 an even choice is drawn. **Errors:** `ValueError` for none, and for fewer or more titles.
+    **Valid:** if there are more than 48 pictures, 48 evenly spaced ones are drawn. **Errors:** `ValueError` without
+    pictures, or if the numbers of pictures and titles differ.
     """
     figure_of = figure_maker(path)
     from matplotlib.image import imread
@@ -33,7 +34,7 @@ def plot_contact_sheet(pictures: Sequence[str | os.PathLike], titles: Sequence[s
         step = -(-image.shape[1] // _PIXELS)
         images.append(image[::step, ::step].copy())
     height, width = images[0].shape[:2]
-    # about as wide as high, by the shape of the pictures
+    # The number of columns follows from the shape of the pictures
     columns = max(1, min(len(images), _MOST_ACROSS, round(np.sqrt(len(images) * 1.5 * height / width))))
     rows = -(-len(images) // columns)
     each = _ACROSS / columns

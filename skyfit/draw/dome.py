@@ -1,15 +1,15 @@
-"""One dome of the sky on a page: zenith in the middle, the horizon as its rim, north up, east right."""
+"""Drawing of one dome of the sky: zenith at the centre, horizon at the rim, north up, east right."""
 
 import numpy as np
 
 
-# pixels across a dome
+# Width of a dome, pixels
 _SIZE = 360
 _INK, _FAINT, _EMPTY = "#222222", "#8a8a8a", "#e9e9e9"
 
 
 def place(zenith, azimuth):
-    r"""Where a direction lies on the page, $(x, y) = \frac{2\theta}{\pi} (\sin\phi, \cos\phi)$, the rim at 1.
+    r"""The position of a direction in a dome, $(x, y) = \frac{2\theta}{\pi} (\sin\phi, \cos\phi)$, with the rim at 1.
 
     **Arguments:** zenith angle and azimuth clockwise from north, radians, of one shape.
     **Returns:** x and y, of that shape.
@@ -19,7 +19,7 @@ def place(zenith, azimuth):
 
 
 def pixels() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Zenith and azimuth (radians) of a dome's pixels, top row first, and which lie above the horizon."""
+    """Zenith angle and azimuth (radians) of a dome's pixels, top row first, and which lie above the horizon."""
     edge = (np.arange(_SIZE) + 0.5) / _SIZE * 2.0 - 1.0
     x, y = np.meshgrid(edge, edge[::-1])
     radius = np.hypot(x, y)
@@ -27,7 +27,7 @@ def pixels() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def cells(zenith: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
-    """The nearest direction of each pixel of a dome, -1 where none is near: Voronoi cells on the sphere.
+    """The index of the direction nearest to each pixel of a dome, -1 if none is near: Voronoi cells on the sphere.
 
     **Arguments:** the directions, radians. **Returns:** indices, `[row, column]`.
     """
@@ -41,7 +41,7 @@ def cells(zenith: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     pixel_zenith, pixel_azimuth, inside = pixels()
     away, nearest = tree.query(_unit(pixel_zenith[inside], pixel_azimuth[inside]))
     if above.size > 1:
-        # a cell reaches no farther than the samples stand apart
+        # A cell extends no farther than the distance between samples
         reach = max(np.percentile(tree.query(tree.data, k=2)[0][:, 1], 90.0), 0.02)
     else:
         reach = 0.3
@@ -50,7 +50,7 @@ def cells(zenith: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
 
 
 def interpolated(zenith: np.ndarray, azimuth: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """A smooth picture through values at directions, NaN outside the dome.
+    """A smooth picture interpolated from values at directions, NaN outside the dome.
 
     **Arguments:** directions in radians, ten or more above the horizon; `values` `[direction, channel]`.
     **Returns:** `[row, column, channel]`.
@@ -58,7 +58,7 @@ def interpolated(zenith: np.ndarray, azimuth: np.ndarray, values: np.ndarray) ->
     """
     from scipy.interpolate import RBFInterpolator
 
-    # a direction that is given twice, such as the zenith, would leave the spline singular
+    # A direction that occurs twice, such as the zenith, would make the spline singular
     points = np.round(np.stack(place(zenith, azimuth), axis=-1), 9)
     _, once = np.unique(points, axis=0, return_index=True)
     once = once[zenith[once] <= 0.5 * np.pi + 1e-6]
@@ -70,7 +70,7 @@ def interpolated(zenith: np.ndarray, azimuth: np.ndarray, values: np.ndarray) ->
 
 
 def draw_dome(axes, picture, sun: tuple[float, float], *, compass: bool = True, **style):
-    """Put a dome's picture into axes with its rim, rings and the sun; returns matplotlib's image."""
+    """Draw a dome's picture into axes with its rim, rings and the sun; return matplotlib's image."""
     from matplotlib.patches import Circle
 
     axes.set_xlim(-1.16, 1.16)

@@ -14,28 +14,28 @@ from .fit_table import draw_shared, draw_table, lines, shared_height, table_heig
 from .page import figure_maker, write_figure
 
 
-# a page holds no more times; of more, an even choice is drawn
+# Largest number of times on a page; if there are more, evenly spaced ones are drawn
 _MOST_ROWS = 8
-# inches, the width of a fit's page
+# Width of a fit's page, inches
 _WIDE = 14.2
-# nm, the wavelengths whose mean is drawn
+# Wavelengths whose mean is drawn, nm
 _BAND = (400.0, 700.0)
-# the mean of a sky's luminance in linear sRGB: a bright blue sky, white only around the sun
+# Mean luminance of a sky in linear sRGB: a bright blue sky, white only around the sun
 _GREY = 0.36
-# of a sky's greatest luminance; what is darker is drawn as this
+# Smallest drawn value, as a share of a sky's greatest luminance
 _BLACK = 1e-6
-# per cent, where the colours of a luminance error end
+# Limit of the colour scale of luminance errors, per cent
 _MOST_ERROR = 50.0
 _MEASURED, _MODEL, _DIFFERENCE, _REJECTED = "#1b1b1b", "#d55e00", "RdBu_r", "#e6007e"
 _UNIT = "mW m\u207b\u00b2 sr\u207b\u00b9 nm\u207b\u00b9"
 
 
 def plot(fit: Fit, path: str | os.PathLike) -> None:
-    """A picture of a fit: measured, model and residual domes, the mean spectrum and the parameters.
+    """Draw a fit: measured, model and residual domes, the mean spectrum and the parameters.
 
     **Arguments:** `fit`, from `skyfit.invert`; `path`, `*.png`, `*.pdf` or `*.svg`.
-    **Valid:** what all times share, then a row for each time, an even choice of 8 where there are more; a dome shows
-    the mean over the fitted wavelengths at 400-700 nm (all, if there are none). A failure leaves no file.
+    **Valid:** the parameters shared by all times, then a row for each time (8 evenly spaced ones if there are more). A
+    dome shows the mean over the fitted wavelengths at 400-700 nm (all, if there are none). A failure leaves no file.
 
     **Example:**
 
@@ -49,7 +49,7 @@ def plot(fit: Fit, path: str | os.PathLike) -> None:
     figure_of = figure_maker(path)
     count = len(fit.sky.time)
     rows = np.linspace(0, count - 1, min(count, _MOST_ROWS)).round().astype(int).tolist()
-    # inches
+    # Sizes in inches
     heading, bottom = 0.62, 0.55
     top = heading + shared_height(fit)
     heights = [max(3.04, 0.75 + table_height(fit, t)) for t in rows]
@@ -83,12 +83,12 @@ def plot_skies(
     path: str | os.PathLike,
     sun: list[tuple[float, float]],
 ) -> None:
-    """Skies side by side as an eye would see them, and how far the luminance of each is from the first's.
+    """Draw skies side by side in visible colours, and the luminance error of each relative to the first.
 
     **Arguments:** `directions`, dense over the sky; `rows`, a label and the skies by name, each XYZ in
     cd m^-2, `[direction, 3]`, the same names in every row and the reference first; `path`, `*.png`, `*.pdf`
-    or `*.svg`; `sun`, zenith and azimuth of each row, radians.
-    **Valid:** ten directions or more above the horizon. One exposure a row, from the mean luminance
+    or `*.svg`; `sun`, zenith angle and azimuth for each row, radians.
+    **Valid:** ten directions or more above the horizon. Each row has one exposure, from the mean luminance
     of the reference. A failure leaves no file.
     """
     figure_of = figure_maker(path)
@@ -109,7 +109,7 @@ def plot_skies(
         raise ValueError(f"`directions` must hold ten or more above the horizon, got {zenith.size} in all")
     pictures = _pictures(zenith, azimuth, [list(skies.values()) for _, skies in rows])
     columns = names + [f"{name}: error" for name in names[1:]]
-    # inches
+    # Sizes in inches
     side, left, top, bottom = 2.15, 1.45, 0.5, 0.85 if len(names) > 1 else 0.3
     wide, tall = left + side * len(columns) + 0.1, top + bottom + side * len(rows)
     figure = figure_of((wide, tall))
@@ -158,12 +158,12 @@ def _settings(fit: Fit) -> str:
 
 
 def _unit(fit: Fit) -> tuple[float, str]:
-    """The factor to the unit that is drawn, and its name: mW of radiance, or what a camera's channels are in."""
+    """The factor to the drawn unit and its name: mW for radiance, or the unit of a camera's channels."""
     return (1e3, _UNIT) if fit.response is None else (1.0, "in the channels' unit")
 
 
 def _draw_row(figure, fit: Fit, t: int, band, base: float, height: float, tall: float) -> None:
-    """One time: title, three domes with their scales, spectra, table; measures in inches."""
+    """Draw one time: title, three domes with their scales, spectra and table; `base`, `height`, `tall` in inches."""
     sky, used = fit.sky, fit.used[t][:, band]
     kept = 2 * used.sum(axis=1) >= len(band)
     count = np.maximum(used.sum(axis=1), 1)
@@ -223,7 +223,7 @@ def _title(fit: Fit, t: int) -> str:
 
 
 def _norm(values):
-    """Colours from the darkest sample to the brightest but for a few by the sun; even in the logarithm."""
+    """A colour scale, logarithmic for a wide range, from the darkest sample to the 98th percentile."""
     from matplotlib.colors import LogNorm, Normalize
 
     values = values[np.isfinite(values)]
@@ -234,7 +234,7 @@ def _norm(values):
 
 
 def _limit(difference) -> float:
-    """A round number of per cent that all but a few residuals stay below, 1 at least."""
+    """The smallest round number of per cent, at least 1, that is above 98 % of the residuals."""
     size = np.abs(difference[np.isfinite(difference)])
     wanted = float(np.percentile(size, 98.0)) if size.size else 0.0
     return next((step for step in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if wanted <= step), 100.0)
@@ -269,7 +269,7 @@ def _bar(figure, image, axes, unit: str) -> None:
 
 
 def _draw_spectra(axes, fit: Fit, t: int) -> None:
-    """Means over the directions of which each wavelength has used samples, the same for both."""
+    """Draw the mean measured and model spectra, over the same used samples of each wavelength."""
     used = fit.used[t]
     count = np.where(used.any(axis=0), used.sum(axis=0), 1)
     wavelength = fit.sky.wavelength_nm
@@ -295,14 +295,14 @@ def _draw_spectra(axes, fit: Fit, t: int) -> None:
 
 
 def _pictures(zenith, azimuth, rows: list[list[np.ndarray]]) -> list[list[np.ndarray]]:
-    """Each row's skies, `[row, column, 3]`, then the others' luminance errors, `[row, column]`."""
+    """For each row the pictures of its skies, `[row, column, 3]`, then the luminance errors, `[row, column]`."""
     channels = []
     for skies in rows:
         first = np.maximum(np.asarray(skies[0], float)[:, 1], 1e-30)
-        # of logarithms: a spline through a bright horizon would swing below zero beside it
+        # Logarithms, because a spline through a bright horizon would become negative beside it
         channels += [np.log(np.maximum(np.asarray(sky, float), _BLACK * first.max())) for sky in skies]
         channels += [100.0 * (np.asarray(sky, float)[:, 1:2] / first[:, None] - 1.0) for sky in skies[1:]]
-    # one spline for all: the neighbours of a pixel are found once
+    # One spline for all channels: the neighbours of each pixel are searched once
     whole = interpolated(zenith, azimuth, np.concatenate(channels, axis=1))
     parts = iter(np.split(whole, np.cumsum([c.shape[1] for c in channels])[:-1], axis=-1))
     return [[np.exp(next(parts)) for _ in skies] + [next(parts)[..., 0] for _ in skies[1:]] for skies in rows]

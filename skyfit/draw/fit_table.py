@@ -1,4 +1,4 @@
-"""The parameters of a fit as text on its page: those of all times once, those of each time beside its domes."""
+"""The parameters of a fit as text: shared ones once at the top of the page, those of each time beside its domes."""
 
 import math
 import textwrap
@@ -9,9 +9,9 @@ import numpy as np
 from ..retrieve import Fit, PARAMETERS
 
 
-# inches, the height of a line and the width of an entry of what all times share
+# Height of a line and width of an entry in the block of shared parameters, inches
 LINE, _ENTRY = 0.152, 4.6
-# letters of a sentence's line beside the domes
+# Width of a line of text beside the domes, characters
 _NARROW = 58
 _SURE, _OPEN = "#1b1b1b", "#a0522d"
 _MINUS = "\u2212"
@@ -25,27 +25,27 @@ class _Entry(NamedTuple):
 
 
 def lines(text: str, width: int) -> str:
-    """The text with its own line breaks, and more where a line would be longer than `width`."""
+    """The text with its own line breaks, and with further ones where a line would be longer than `width`."""
     return "\n".join(textwrap.fill(line, width) for line in text.split("\n"))
 
 
 def unit_after(name: str) -> str:
-    """A parameter's unit as it stands after a number."""
+    """A parameter's unit as written after a number."""
     unit = PARAMETERS[name].unit
     return {"1": "", "degree": "\N{DEGREE SIGN}"}.get(unit, f" {unit}")
 
 
 def shared_height(fit: Fit) -> float:
-    """Inches that `draw_shared` takes."""
+    """Height of the block drawn by `draw_shared`, inches."""
     if not fit.shared:
         return 0.0
     return LINE * (1 + math.ceil(len(fit.shared) / 3) + len(_common_sentences(fit))) + 0.1
 
 
 def draw_shared(figure, fit: Fit, left: float, y: float) -> None:
-    """What all times have in common, three parameters a line, and what the data leave open at all of them.
+    """Draw the parameters shared by all times, three per line, and what is undetermined at all times.
 
-    **Arguments:** `left`, `y`, inches from the left and to the bottom of the figure, where the block begins.
+    **Arguments:** `left`, `y`, position of the block's top left corner from the figure's left and bottom, inches.
     """
     if not fit.shared:
         return
@@ -68,15 +68,15 @@ def draw_shared(figure, fit: Fit, left: float, y: float) -> None:
 
 
 def table_height(fit: Fit, t: int) -> float:
-    """Inches below the first line of `draw_table`."""
+    """Height of the table drawn by `draw_table` below its first line, inches."""
     return LINE * (len(fit.free) - len(fit.shared) + len(_noise(fit, t)) + len(_own_sentences(fit, t)))
 
 
 def draw_table(axes, fit: Fit, t: int) -> None:
-    """The parameters of one time, and what its data leave open."""
+    """Draw the parameters of one time and what is undetermined at it."""
     axes.set_axis_off()
     tall = axes.get_position().height * axes.figure.get_size_inches()[1]
-    # inches below the top
+    # Position of the current line below the top, inches
     y = 0.3
 
     def write(x, text, **style):
@@ -118,19 +118,19 @@ def _entry(fit: Fit, t: int, p: int) -> _Entry:
 
 
 def _decimals(sigma: float) -> int | None:
-    """Decimals that show two digits of sigma, None where that makes no sense."""
+    """Number of decimals that shows two digits of sigma; None for very small, very large or infinite sigma."""
     if not np.isfinite(sigma) or not 1e-5 < sigma < 1e3:
         return None
     return int(np.clip(1 - np.floor(np.log10(sigma)), 0, 6))
 
 
 def _told(fit: Fit, t: int) -> list[str]:
-    """What is left open at a time and not said by the flags."""
+    """Sentences on what is undetermined at a time, without those that the flags express."""
     return [s for s in fit.undetermined[t] if not s.endswith("is not determined by these data")]
 
 
 def _noise(fit: Fit, t: int) -> list[str]:
-    """The kinds of error of a time, and how far the direct beam is from that of the fit."""
+    """Lines on the error components of a time, and on the residual of the direct beam."""
     level, colour, pointing, broad_level, broad_colour = fit.common[t]
     said = [
         f"noise: {fit.scale[t]:.2g} sigma, level {100.0 * level:.2g} %, colour {100.0 * colour:.2g} %, "
@@ -143,14 +143,14 @@ def _noise(fit: Fit, t: int) -> list[str]:
 
 
 def _common_sentences(fit: Fit) -> list[str]:
-    """What is left open at all times, where they share anything."""
+    """Sentences on what is undetermined at all times; none without shared parameters."""
     if not fit.shared:
         return []
     return [s for s in _told(fit, 0) if all(s in sentences for sentences in fit.undetermined)]
 
 
 def _own_sentences(fit: Fit, t: int) -> list[str]:
-    """What else is left open at one time, in lines short enough for its table."""
+    """Sentences on what is undetermined at one time only, in lines short enough for its table."""
     common = _common_sentences(fit)
     own = (s for s in _told(fit, t) if s not in common)
     return [line for s in own for line in lines(s.replace("_", " "), _NARROW).split("\n")]

@@ -1,4 +1,4 @@
-"""Figures on paper: made without a display, written whole or not at all."""
+"""Making of figures without a display, and writing of complete files."""
 
 import os
 from pathlib import Path
@@ -8,7 +8,7 @@ from ..measured import atomic
 
 
 def figure_maker(path: str | os.PathLike):
-    """A maker of figures of a size in inches, once the suffix of `path` is known to be writable."""
+    """A function that makes a figure of a size in inches; raises first if the suffix of `path` is not supported."""
     require("matplotlib")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -26,6 +26,6 @@ def figure_maker(path: str | os.PathLike):
 
 
 def write_figure(figure, path: str | os.PathLike) -> None:
-    """The figure's file, which a failure leaves as it was."""
+    """Write the figure's file; a failure leaves an existing file unchanged."""
     with atomic(path) as part:
         figure.savefig(part, dpi=150)

@@ -1,4 +1,4 @@
-"""A picture of the sky beside the sky that was fitted to it, and what is left between them."""
+"""A drawing of a picture of the sky, the fitted sky and the residual."""
 
 import os
 
@@ -9,7 +9,7 @@ from ..light import srgb_from_linear, SRGB_LUMINANCE
 from .page import figure_maker, write_figure
 
 
-# times the median luminance: white; the ends of the colours of the residual, per cent
+# White as a multiple of the median luminance; limit of the colour scale of the residual, per cent
 _WHITE, _END = 4.0, 30.0
 
 
@@ -19,11 +19,12 @@ def plot_panorama(
     used: Bool[np.ndarray, "row column"],
     path: str | os.PathLike,
 ) -> None:
-    """The picture, the fitted sky, and by how many per cent of luminance the picture is brighter where it was used.
+    """Draw the picture, the fitted sky, and the relative luminance residual (picture over fit) of the used pixels.
 
-    **Arguments:** linear sRGB of one unit; `used` pixels, some at least; `path`, `*.png`, `*.pdf` or `*.svg`.
+    **Arguments:** `picture` and `predicted`, linear sRGB in one unit; `used`, mask with at least one used pixel;
+    `path`, `*.png`, `*.pdf` or `*.svg`.
     """
-    # the rows that hold sky, and some of what is under it
+    # The rows that hold used sky, and some below
     last = int(np.flatnonzero(used.any(axis=1))[-1]) + used.shape[0] // 20
     picture, predicted, used = picture[:last], predicted[:last], used[:last]
     height, width = used.shape

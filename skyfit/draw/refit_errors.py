@@ -1,4 +1,4 @@
-"""A picture of how near refitted coefficients come to the simulated skies."""
+"""A drawing of the errors of refitted coefficients against simulated skies."""
 
 import os
 
@@ -13,11 +13,11 @@ _LOW, _HIGH = 0.05, 1000.0
 
 
 def plot_refit(refit: Refit, path: str | os.PathLike) -> None:
-    """Median luminance error of each sky by the sun's zenith angle, and where turbidity stands, for each model.
+    """Draw each sky's median luminance error over the sun's zenith angle, coloured by turbidity, for each model.
 
     **Arguments:** `refit`, from `skyfit.refit`; `path`, `*.png`, `*.pdf` or `*.svg`.
     **Valid:** lines are the skies of the fit, one for each turbidity, circles those held out; per cent, view zenith to
-    80 degrees. The published coefficients stand only where their range holds. A failure leaves no file.
+    80 degrees. The published coefficients are shown only within their range. A failure leaves no file.
     """
     figure = figure_maker(path)((11.0, 4.1))
     from matplotlib import colormaps
@@ -25,7 +25,7 @@ def plot_refit(refit: Refit, path: str | os.PathLike) -> None:
 
     fitted, held = refit.fitted, refit.held_out
     everything = np.concatenate([fitted.turbidity, held.turbidity])
-    # one turbidity alone would be a norm without width
+    # A single turbidity would give a colour scale of zero width
     low, high = everything.min(), max(everything.max(), everything.min() + 0.1)
     norm = LogNorm(low, high)
     colours = colormaps["viridis"]

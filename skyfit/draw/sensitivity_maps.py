@@ -1,4 +1,4 @@
-"""A picture of what each direction of the sky tells of the parameters."""
+"""A drawing of the sensitivity of the radiance in each direction to the parameters."""
 
 import os
 import textwrap
@@ -13,11 +13,11 @@ from .fit_table import unit_after
 from .page import figure_maker, write_figure
 
 
-# inches: a dome, the margins, and the lower part with the curves and the numbered dome
+# Sizes of a dome, the margins, and the lower part with the curves and the numbered dome, inches
 _SIDE, _LEFT, _TOP, _BAR, _BOTTOM, _LOWER = 1.95, 0.75, 0.78, 0.5, 0.55, 3.7
-# rows of wavelengths on a page
+# Largest number of wavelengths on a page
 _MOST_ROWS = 3
-# the change of a parameter whose effect the colours show, in its unit; 1 where none is given
+# Step of each parameter whose effect the colours show, in its unit; 1 for other parameters
 _STEP = {
     "turbidity": 0.1,
     "aerosol_optical_depth": 0.01,
@@ -47,15 +47,15 @@ def plot_sensitivity(
     sigmas: Mapping[str, np.ndarray] | None = None,
     title: str = "",
 ) -> None:
-    r"""Domes of $\partial \ln L / \partial p$: a column for each parameter, a row for each of a few wavelengths.
+    r"""Draw domes of $\partial \ln L / \partial p$: a column for each parameter, a row for each of a few wavelengths.
 
-    **Arguments:** `scene`, dense over the sky; `names` of the parameters; `relative`, `sensitivity` over radiance,
-    `[parameter, direction, wavelength]`; `path`, `*.png`, `*.pdf` or `*.svg`; `chosen`, directions to number in
-    order; `sigmas`, by label the sigma of the first parameter after 1, 2, ... directions (nan where left out), each a
-    curve; `title` of the page.
-    **Valid:** ten directions or more above the horizon; of more than 3 wavelengths the ends and the middle are drawn.
-    One colour scale for each parameter, to the 98th percentile; colours give the per cent that the radiance changes
-    by for a small step of the parameter. A failure leaves no file.
+    **Arguments:** `scene`, dense over the sky; `names` of the parameters; `relative`, `sensitivity` divided by
+    radiance, `[parameter, direction, wavelength]`; `path`, `*.png`, `*.pdf` or `*.svg`; `chosen`, directions to number
+    in order; `sigmas`, for each label a curve of the sigma of the first parameter after 1, 2, ... directions (nan: not
+    drawn); `title` of the page.
+    **Valid:** ten directions or more above the horizon. With more than 3 wavelengths the first, middle and last are
+    drawn. Each parameter has one colour scale, to the 98th percentile. Colours give the change of radiance, per cent,
+    for a small step of the parameter. A failure leaves no file.
     """
     figure_of = figure_maker(path)
     names, relative = tuple(names), np.asarray(relative, float)
@@ -72,14 +72,14 @@ def plot_sensitivity(
     rows = np.linspace(0, wavelength.size - 1, min(wavelength.size, _MOST_ROWS)).round().astype(int)
     steps = np.array([_STEP.get(name, 1.0) for name in names])
     change = 100.0 * steps[:, None, None] * relative[:, :, rows]
-    # one spline for all; black directions have no relative change
+    # One spline for all pictures; black directions have no relative change
     seen = np.all(np.isfinite(change), axis=(0, 2))
     flat = np.moveaxis(change, 1, 0)[seen].reshape(seen.sum(), -1)
     pictures = interpolated(zenith[seen], azimuth[seen], flat)
     pictures = pictures.reshape(*pictures.shape[:2], len(names), len(rows))
     sun = (float(scene.sun_zenith), float(scene.sun_azimuth))
     lower = _LOWER if chosen is not None or sigmas else 0.0
-    # inches; a page of few columns is still as wide as its lower part
+    # Size in inches; a page with few columns is at least as wide as its lower part
     wide = max(_LEFT + _SIDE * len(names) + 0.15, 7.6 if lower else 4.0)
     tall = _TOP + _SIDE * len(rows) + _BAR + lower + _BOTTOM
     figure = figure_of((wide, tall))
@@ -136,7 +136,7 @@ def _bar(figure, image, axes, label: str) -> None:
 
 
 def _number(axes, chosen: Directions) -> None:
-    """Dots, and beside each its number where it is farthest from all others."""
+    """Draw dots, each with its number beside it, placed farthest from all others."""
     from matplotlib.patheffects import withStroke
 
     dots = np.stack(place(np.asarray(chosen.zenith, float), np.asarray(chosen.azimuth, float)), axis=-1)

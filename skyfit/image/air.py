@@ -1,4 +1,4 @@
-"""The air before the objects of a depth image: `air_to`."""
+"""The air between the eye and the objects of a depth image: `air_to`."""
 
 from collections.abc import Callable, Sequence
 
@@ -16,9 +16,9 @@ from .camera import Camera
 from .render import EYE, SPECTRUM, sunlight
 
 
-# m, of each pixel
+# Distance of each pixel, m
 Depth = Real[Array | np.ndarray, "row column"]
-# pixels at once: what they need in memory stays under some 100 MB
+# Number of pixels computed at once; they need less than about 100 MB of memory
 _PIECE = 1024
 
 
@@ -34,22 +34,21 @@ def air_to(
     lit: Sequence[tuple[Depth, Depth]] | None = None,
     wavelength_nm: Real[Array | np.ndarray, " wavelength"] | None = None,
 ) -> Path:
-    r"""The air between an eye and what a depth image shows: what it leaves of the light, and what it adds.
+    r"""Transmittance and in-scattered light of the air between an eye and the objects of a depth image.
 
-    $L = T L_0 + L_{in}$ by `Path.over`, with $L_0$ the objects' own radiance, 0 where there is only sky: there
-    $L_{in}$ is the sky itself, as the solver has it, so no seam is between a mountain far away and the sky behind it.
+    $L = T L_0 + L_{in}$ by `Path.over`, with $L_0$ the objects' own radiance, 0 where there is only sky. There
+    $L_{in}$ is the solver's sky itself, so there is no seam between a distant mountain and the sky behind it.
 
     **Arguments:** `distance`, m, along the view of each pixel, infinite for the sky (a view that meets the ground ends
     there); `solver`, by default `Spherical.normal()`, all orders on a sphere, or `SingleScattering`; `sun_zenith`,
-    `sun_azimuth` clockwise from north, rad; `height` of the eye, m; `lit`, parts of each view that the sun shines on,
-    pairs of distances `[row, column]` as `SphericalField.path` takes them, for `Spherical` alone; `wavelength_nm`,
-    None: colours.
-    **Returns:** `Path`, `[row, column, channel]`. Colours are linear sRGB, the in-scatter in cd m^-2 as `Image.rgb`
-    has it, and the transmittance that of grey objects in unfiltered sunlight, between 0 and 1; or, by wavelength,
-    W m^-2 sr^-1 nm^-1.
-    **Errors:** `ValueError` for another solver, and what the solver does not know.
-    **Valid:** every pixel is solved alone, without a table; differentiable by the atmosphere, distances, sun. Straight
-    rays. In fog `Spherical` has levels enough where the atmosphere is not traced.
+    `sun_azimuth` clockwise from north, rad; `height` of the eye, m; `lit`, the sunlit parts of each view, pairs of
+    distances `[row, column]` as in `SphericalField.path`, for `Spherical` only; `wavelength_nm`, None: colours.
+    **Returns:** `Path`, `[row, column, channel]`. With colours the channels are linear sRGB: the in-scatter is in
+    cd m^-2 as in `Image.rgb`, and the transmittance, between 0 and 1, is that of grey objects in unfiltered sunlight.
+    With wavelengths the in-scatter is in W m^-2 sr^-1 nm^-1.
+    **Errors:** `ValueError` for another solver, and for scenes outside the solver's range.
+    **Valid:** each pixel is solved separately, without a table. Differentiable by the atmosphere, distances and sun.
+    Rays are straight. In fog `Spherical` has enough levels only if the atmosphere is not traced.
     **Source:** Hoffman & Preetham 2002, eq. 1; the integrals: `SphericalField.path`.
 
     **Example:**
@@ -81,7 +80,7 @@ def air_to(
     def scene(view: Directions) -> Scene:
         return Scene(sun_zenith, sun_azimuth, view, nm, light, height)
 
-    # with numbers: what is asked for in pieces is traced
+    # Checked here with concrete numbers, because the pieces below are traced
     check_scene(solver, atmosphere, scene(Directions(as_float(zenith[:1]), as_float(azimuth[:1]))))
 
     if isinstance(solver, Spherical):
@@ -106,9 +105,9 @@ def along(
     distance: Real[Array | np.ndarray, " view"],
     lit: list | None = None,
 ) -> Path:
-    """What `path(views, distance, lit)` finds along many views, of which it gets some at once; arguments in radians."""
+    """The results of `path(views, distance, lit)` for many views, computed piece by piece; angles in radians."""
     count = distance.size
-    # whole pieces: the last is filled up
+    # All pieces have the same size; the last is filled up
     whole = -(-count // _PIECE) * _PIECE
     place = np.arange(whole) % count
     images = jax.tree.map(lambda v: as_float(v)[place].reshape(-1, _PIECE), (zenith, azimuth, distance, lit))
@@ -122,7 +121,7 @@ def along(
 
 
 def coloured(path: Path) -> Path:
-    """Linear sRGB of a path at the wavelengths of `SPECTRUM`, as `air_to` has it."""
+    """Linear sRGB of a path at the wavelengths of `SPECTRUM`, as `air_to` returns it."""
     light = as_float(sunlight())
     left, whole, added = (
         linear_from_xyz(xyz(spectra, SPECTRUM)) for spectra in (path.transmittance * light[None], light, path.inscatter)

@@ -1,4 +1,4 @@
-"""Which way each pixel of a picture looks, and how much of the sphere it sees."""
+"""The direction and the solid angle of each pixel of a picture."""
 
 from dataclasses import dataclass
 from typing import get_args, Literal
@@ -11,28 +11,28 @@ from ..numerics import check_range
 
 Projection = Literal["equirect", "fisheye", "cube", "perspective"]
 Mapping = Literal["equidistant", "equisolid", "stereographic"]
-# pixels on a side
+# Largest width and height, pixels
 _LARGEST = 32768.0
-# stands for the width and height that are usual for a projection
+# Marks a width or height for which the default of the projection is used
 _USUAL = -1
 _SIZES = {"equirect": (1024, 512), "fisheye": (1024, 1024), "cube": (1536, 256), "perspective": (1024, 576)}
-# right, up and ahead of each face of a cube, on the axes right, up and ahead of who looks at its fifth
+# Right, up and ahead of each face of a cube, on the axes right, up and ahead of an observer who faces the fifth face
 _FACES = np.array([
     [[0, 0, -1], [0, 1, 0], [1, 0, 0]], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
     [[1, 0, 0], [0, 0, 1], [0, -1, 0]], [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
 ], float)  # fmt: skip
-# lengths of a fisheye's picture by its focal length: a lens that draws farther out is none
+# Largest image distance of a fisheye from its centre, in focal lengths
 _FARTHEST = 100.0
 
 
 def _length(mapping: Mapping, angle):
-    """From the middle, by the focal length."""
+    """Image distance from the centre, in focal lengths."""
     half = 0.5 * angle
     return {"equidistant": angle, "equisolid": 2.0 * np.sin(half), "stereographic": 2.0 * np.tan(half)}[mapping]
 
 
 def _slope(mapping: Mapping, angle):
-    """Of `_length`."""
+    """Derivative of `_length` by the angle."""
     if mapping == "equidistant":
         return np.ones_like(angle)
     return np.cos(0.5 * angle) if mapping == "equisolid" else np.cos(0.5 * angle) ** -2
@@ -47,20 +47,20 @@ def _angle_of(mapping: Mapping, length):
 
 @dataclass(frozen=True)
 class Camera:
-    """A picture of `width` by `height` pixels; both left out: as large as its projection usually is.
+    """A picture of `width` by `height` pixels, by default of a size that depends on the projection.
 
-    - "equirect": the whole sphere, the zenith as its top row, the azimuth growing to the right.
-    - "fisheye": looks up; the angle t from the zenith is half of `field_of_view` at the nearer edges, beyond which
-      nothing is seen. The distance from the middle grows with d = t (1 + `k1` t^2 + `k2` t^4), which is t of a perfect
-      lens, as its `mapping` says: d, 2 sin(d / 2), 2 tan(d / 2). North is up; east is right as on a map, or left with
-      `mirrored`, as who lies on his back sees it.
+    - "equirect": the whole sphere, the zenith in the top row, azimuth increasing to the right.
+    - "fisheye": looks up. At the nearer edges the angle t from the zenith is half of `field_of_view`; nothing is seen
+      beyond. With d = t (1 + `k1` t^2 + `k2` t^4), which is t for a perfect lens, the distance from the centre is
+      proportional to d, 2 sin(d / 2) or 2 tan(d / 2), according to `mapping`. North is up; east is right as on a map,
+      or left with `mirrored`, as seen by an observer lying on the back.
     - "cube": six square faces side by side, in the order and orientation of cube maps (x right, y up, z ahead): right,
-      left, up, down, ahead and behind of who looks toward `azimuth`.
+      left, up, down, ahead and behind of an observer who looks toward `azimuth`.
     - "perspective": a pinhole that spans `field_of_view` from left to right.
 
     `azimuth`, clockwise from north, of the middle column, or of a cube's face ahead; `elevation` of the middle of a
-    perspective picture; `field_of_view`, by default pi of a fisheye and 70 degrees of a pinhole: radians, all of them.
-    **Errors:** `ValueError` for what is out of range, a lens that folds the sphere among it.
+    perspective picture; `field_of_view`, by default pi for a fisheye and 70 degrees for a pinhole. All are in radians.
+    **Errors:** `ValueError` for values out of range, and for a lens whose image distance does not grow with the angle.
     **Source:** Kannala & Brandt 2006, IEEE TPAMI 28, 1335, eq. 1-6, for mappings and the polynomial.
 
     **Example:**
@@ -120,7 +120,7 @@ class Camera:
             )
 
     def views(self, first: int = 0, last: int | None = None) -> Float[np.ndarray, "3 row column"]:
-        """Unit vectors east, north, up of the pixels of some rows, the top row first; float32."""
+        """Unit vectors east, north, up of the pixels in rows `first` to `last`, top row first; float32."""
         row, column = np.mgrid[first : self.height if last is None else last, : self.width].astype(np.float32) + 0.5
         if self.projection == "equirect":
             zenith, azimuth = np.pi * row / self.height, self.azimuth + 2.0 * np.pi * (column / self.width - 0.5)
@@ -142,7 +142,7 @@ class Camera:
         return (views / np.linalg.norm(views, axis=0)).astype(np.float32)
 
     def solid_angle(self, row: Real[np.ndarray, "*pixel"], column: Real[np.ndarray, "*pixel"]):
-        """Of pixels, by the indices of their rows and columns, sr; 0 where nothing is seen."""
+        """Solid angle of the pixels at given row and column indices, sr; 0 where nothing is seen."""
         if self.projection == "equirect":
             edge = np.cos(np.pi * np.stack([row, row + 1.0]) / self.height)
             return 2.0 * np.pi / self.width * (edge[0] - edge[1])
@@ -152,7 +152,7 @@ class Camera:
         distance = np.hypot(column + 0.5 - 0.5 * self.width, row + 0.5 - 0.5 * self.height)
         if self.projection == "fisheye":
             angle = self._angle(distance)
-            # sin t / r times dt / dr, both 1 over the scale in the middle
+            # sin t / r times dt / dr; both are 1 / scale at the centre
             steep = _slope(self.mapping, self._bent(angle)) * self._bending(angle)
             across = np.where(
                 distance > 0.0, np.sin(angle) / np.where(distance > 0.0, distance, 1.0), 1.0 / self._scale
@@ -164,7 +164,7 @@ class Camera:
     def places(
         self, views: Float[np.ndarray, "3 view"]
     ) -> tuple[Float[np.ndarray, " view"], Float[np.ndarray, " view"], Bool[np.ndarray, " view"]]:
-        """The rows and columns of the pixels that some views fall on, and whether they are in the picture."""
+        """The rows and columns of the pixels that views fall on, and whether they are in the picture."""
         east, north, up = views
         seen = np.ones(up.shape, bool)
         if self.projection == "equirect":
@@ -181,13 +181,13 @@ class Camera:
             along = self._cube @ views
             face = np.argmax(along[:, 2], axis=0)
             x, y, depth = np.take_along_axis(along, face[None, None], axis=0)[0]
-            # the edge of a face is its own
+            # The edge of a face belongs to that face
             last = self.height - 1e-6
             row = np.clip(0.5 * self.height * (1.0 - y / depth), 0.0, last)
             column = face * self.height + np.clip(0.5 * self.height * (1.0 + x / depth), 0.0, last)
         else:
             x, y, depth = (axis @ views for axis in self.axes)
-            # what is behind falls outside
+            # Views behind the camera become NaN and so lie outside
             depth = np.where(depth > 1e-9, depth, np.nan)
             row, column = 0.5 * self.height - self._focal * y / depth, 0.5 * self.width + self._focal * x / depth
         inside = seen & (row >= 0.0) & (row < self.height) & (column >= 0.0) & (column < self.width)
@@ -201,23 +201,23 @@ class Camera:
 
     @property
     def _scale(self) -> float:
-        """Pixels per unit of `_length`, of a fisheye."""
+        """Focal length of a fisheye, pixels."""
         return 0.5 * min(self.width, self.height) / float(_length(self.mapping, self._bent(0.5 * self.across)))
 
     def _bent(self, angle):
-        """Where a perfect lens would have what lies at an angle from the zenith."""
+        """The angle at which a perfect lens would image an object at `angle` from the zenith."""
         return angle * (1.0 + self.k1 * angle**2 + self.k2 * angle**4)
 
     def _bending(self, angle):
-        """The slope of `_bent`."""
+        """The derivative of `_bent` by the angle."""
         return 1.0 + 3.0 * self.k1 * angle**2 + 5.0 * self.k2 * angle**4
 
     def _angle(self, length):
-        """From the zenith, of what lies so many pixels from the middle; beyond what is seen, pi at most."""
+        """Angle from the zenith of an object imaged `length` pixels from the centre; pi at most for unseen ones."""
         bent = _angle_of(self.mapping, length / self._scale)
         angle = bent
         if self.k1 or self.k2:
-            # Newton's method from the perfect lens, kept where the lens is known to spread
+            # Newton's method from the perfect lens, kept within the range in which the lens was checked
             for _ in range(8):
                 angle = np.clip(angle - (self._bent(angle) - bent) / self._bending(angle), 0.0, 0.5 * self.across)
         return angle
@@ -232,7 +232,7 @@ class Camera:
 
     @property
     def _cube(self) -> np.ndarray:
-        """Right, up and ahead of each face, east, north, up `[face, axis, 3]`."""
+        """Right, up and ahead of each face as unit vectors east, north, up, `[face, axis, 3]`."""
         sine, cosine = np.sin(self.azimuth), np.cos(self.azimuth)
         return _FACES @ np.array([[cosine, -sine, 0.0], [0.0, 0.0, 1.0], [sine, cosine, 0.0]])
 

@@ -1,4 +1,4 @@
-"""The sun's disc, whose light is kept at any resolution."""
+"""The sun's disc, drawn with the same total light at any resolution."""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,9 +9,9 @@ from .camera import Camera
 
 
 RADIUS = float(np.sqrt(SUN_SOLID_ANGLE / np.pi))  # rad
-# nm that stand for X, Y and Z
+# Representative wavelengths of X, Y and Z, nm
 _OF_OBSERVER = np.array([600.0, 555.0, 450.0])
-# points of the disc, at least and for each pixel that it covers
+# Number of points of the disc: at least, and for each pixel that it covers
 _POINTS, _PER_PIXEL = 4000, 40
 
 
@@ -23,13 +23,13 @@ def add_disc(
     irradiance: Float[np.ndarray, "3"],
     horizon: float = 0.5 * np.pi,
 ) -> None:
-    r"""Adds the light of the sun's disc to a picture, in place.
+    r"""Add the light of the sun's disc to a picture, in place.
 
-    Points that fill the disc evenly, darker toward its limb as $\mu^{\alpha}$, each give their share of the irradiance
-    to the pixel that they fall on: the sum of radiance times solid angle is `irradiance`, whatever a pixel's size.
+    Points fill the disc evenly, with limb darkening $\mu^{\alpha}$. Each adds its share of the irradiance to the pixel
+    it falls on. The sum of radiance times solid angle is therefore `irradiance` for any pixel size.
 
     **Arguments:** `picture` X, Y, Z per steradian; `irradiance` X, Y, Z of the whole disc on a plane normal to it;
-    `horizon`, the zenith angle below which its points are hidden, rad.
+    `horizon`, the zenith angle beyond which points are hidden, rad.
     **Source:** Hestroffer & Magnan 1998, A&A 333, 338, $\alpha = -0.023 + 0.292 / \lambda$ in um; the disc is round:
     refraction is left out.
     """
@@ -37,7 +37,7 @@ def add_disc(
     row, column, inside = camera.places(middle[:, None])
     covered = np.pi * RADIUS**2 / camera.solid_angle(row, column)[0] if inside[0] else 0.0
     count = int(min(max(_POINTS, _PER_PIXEL * covered), 4e6))
-    # evenly by area, as seeds of a sunflower
+    # Points distributed evenly by area on a Fibonacci spiral
     share = (np.arange(count) + 0.5) / count
     turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
     away = RADIUS * np.sqrt(share)

@@ -1,4 +1,4 @@
-"""Files of pictures, and the tone curve of ACES, by OpenImageIO."""
+"""Picture files and the tone curve of ACES, by OpenImageIO."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -16,13 +16,13 @@ from .camera import Camera
 
 Kind = Literal["float", "half", "uint8"]
 Encoding = Literal["linear", "srgb"]
-# from which a channel of whole numbers counts as full, as a share of white
+# Share of white above which a channel of integers counts as saturated
 _FULL = 0.98
-# as many pixels at the largest value of a channel of real numbers are a limit
+# If at least this many pixels have the largest value of a channel of floats, that value counts as saturation
 _SAME = 20
-# x and y of red, green, blue and white of sRGB: IEC 61966-2-1:1999
+# Chromaticity x, y of red, green, blue and white of sRGB: IEC 61966-2-1:1999
 _SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
-# a display's white is 100 cd m^-2 there, and the scene's 1
+# Names in OpenColorIO's configuration; a display's white is 100 cd m^-2 there, and the scene's 1
 _DISPLAY, _VIEW, _LINEAR = "sRGB - Display", "ACES 2.0 - SDR 100 nits (Rec.709)", "Linear Rec.709 (sRGB)"
 _CONFIG = "ocio://cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
 
@@ -33,11 +33,11 @@ def write_picture(
     kind: Kind,
     about: Mapping[str, str | float | tuple[float, ...]],
 ) -> None:
-    """Writes a file of the format that its suffix names.
+    """Write a picture in the format given by the file's suffix.
 
-    **Arguments:** `pixels`, the top row first; `kind` of number in the file; `about`, attributes by the names that
-    OpenImageIO has for them; each format keeps those that it knows.
-    **Errors:** `ValueError` where the file cannot be written.
+    **Arguments:** `pixels`, the top row first; `kind` of number in the file; `about`, attributes by their OpenImageIO
+    names; each format keeps those that it knows.
+    **Errors:** `OSError` if the file cannot be written.
     """
     require("OpenImageIO")
     import OpenImageIO as oiio
@@ -58,10 +58,10 @@ def write_picture(
 
 @dataclass(frozen=True)
 class Pixels:
-    """What a file of a picture holds: `rgb`, linear sRGB in a unit of its own, the top row first.
+    """The contents of a picture file: `rgb`, linear sRGB in an arbitrary unit, the top row first.
 
-    `known`: where all channels are finite numbers and nothing shines through; `full`: where one is at the largest
-    value that the file, or the camera, can hold; `notes`: what was assumed.
+    `known`: mask of pixels whose channels are finite and which are opaque; `full`: mask of pixels with a channel at the
+    largest value that the file or the camera can hold; `notes`: the assumptions made.
     """
 
     rgb: Float[np.ndarray, "row column 3"]
@@ -71,11 +71,11 @@ class Pixels:
 
 
 def read_picture(path: Path, encoding: Encoding | None = None) -> Pixels:
-    """The red, green and blue of a picture, found by the names of its channels.
+    """Read the red, green and blue channels of a picture, found by name.
 
-    **Arguments:** `encoding` of the numbers; None: sRGB's curve for whole numbers, linear for real ones. Other
-    primaries that an EXR states are converted to those of sRGB.
-    **Errors:** `ValueError` for what is no picture, or has no red, green and blue.
+    **Arguments:** `encoding` of the numbers; None: sRGB's curve for integers, linear for floats. If an EXR states other
+    primaries, its colours are converted to those of sRGB.
+    **Errors:** `ValueError` if the file is no picture, or has no red, green and blue.
     """
     raw, names, whole, primaries, alpha = _read(path)
     places = _channels(path, names)
@@ -106,9 +106,9 @@ def read_picture(path: Path, encoding: Encoding | None = None) -> Pixels:
 
 
 def read_mask(path: Path) -> Bool[np.ndarray, "row column"]:
-    """Where a picture is white, or is brighter than the half: what is to be used of another one.
+    """A mask from a picture: True where the mean of its colour channels is above one half.
 
-    **Errors:** `ValueError` for what is no picture.
+    **Errors:** `ValueError` if the file is no picture.
     """
     raw, names, _, _, alpha = _read(path)
     colours = [place for place in range(len(names)) if place != alpha]
@@ -118,9 +118,9 @@ def read_mask(path: Path) -> Bool[np.ndarray, "row column"]:
 def reduced(
     pixels: Pixels, allowed: Bool[np.ndarray, "row column"], camera: Camera, widest: int
 ) -> tuple[Pixels, Bool[np.ndarray, "row column"], Camera]:
-    """A picture, and what of it is allowed, of so many pixels across at most, by means over areas.
+    """A picture and its mask reduced to at most `widest` pixels on a side, by averages over areas.
 
-    A pixel is known, or allowed, where all that it is made of is, and full where any of that is.
+    A reduced pixel is known or allowed if all pixels in it are, and full if any is.
     """
     import OpenImageIO as oiio
 
@@ -137,7 +137,7 @@ def reduced(
 
 
 def _read(path: Path):
-    """Numbers `[row, column, channel]`, names, whether they are whole, the primaries and the place of alpha, if any."""
+    """Values `[row, column, channel]`, channel names, whether they are integers, the primaries and alpha's index."""
     require("OpenImageIO")
     import OpenImageIO as oiio
 
@@ -160,7 +160,7 @@ def _read(path: Path):
 
 
 def _channels(path: Path, names: list[str]) -> list[int]:
-    """The places of red, green and blue, of the first layer that has all three."""
+    """The indices of red, green and blue in the first layer that has all three."""
     lower = [name.lower() for name in names]
     layers = [name.rpartition(".")[0] for name in lower]
     for layer in dict.fromkeys(layers):
@@ -173,7 +173,7 @@ def _channels(path: Path, names: list[str]) -> list[int]:
 
 
 def _decoded(encoded: Float[np.ndarray, "row column 3"]) -> Float[np.ndarray, "row column 3"]:
-    """Linear values of sRGB's curve."""
+    """Linear values of colours encoded by sRGB's curve."""
     import OpenImageIO as oiio
 
     picture = oiio.ImageBuf(np.ascontiguousarray(encoded, np.float32))
@@ -181,7 +181,7 @@ def _decoded(encoded: Float[np.ndarray, "row column 3"]) -> Float[np.ndarray, "r
 
 
 def _to_srgb(primaries: tuple[float, ...]) -> Float[np.ndarray, "3 3"]:
-    """Linear sRGB of the same light as red, green and blue of other primaries."""
+    """The matrix from linear red, green and blue of other primaries to linear sRGB."""
     from colour.models import normalised_primary_matrix
 
     corners = np.reshape(np.asarray(primaries, float), (4, 2))
@@ -189,7 +189,7 @@ def _to_srgb(primaries: tuple[float, ...]) -> Float[np.ndarray, "3 3"]:
 
 
 def aces(linear: Float[np.ndarray, "row column 3"]) -> Float[np.ndarray, "row column 3"]:
-    """Encoded sRGB of linear sRGB by the ACES 2.0 output transform for standard screens, 0 to 1.
+    """Encoded sRGB, 0 to 1, from linear sRGB by the ACES 2.0 output transform for standard screens.
 
     **Source:** Academy S-2025-001 in OpenColorIO's own configuration.
     """

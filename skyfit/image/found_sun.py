@@ -1,4 +1,4 @@
-"""Where the sun stands in a picture of the sky: its disc, the light around it, or the pattern of the whole sky."""
+"""The sun's position in a picture of the sky, from its disc, the light around it or the pattern of the whole sky."""
 
 from typing import Literal, NamedTuple
 
@@ -9,31 +9,36 @@ from ..measured.quality.placed_sun import angle_from_sun, cosine_from_sun
 
 
 How = Literal["disc", "patch", "aureole", "pattern"]
-# rad: the ring that a disc outshines, and by how much, which no aureole and no cloud does
+# Inner and outer radius of the ring around a disc, rad, and the least ratio of disc to ring; no aureole and no cloud
+# reaches that ratio
 _RING, _OUTSHINES = np.radians([4.0, 8.0]), 30.0
-# a saturated patch is the sun's: so far from where the pattern has it, so large at most, rad, and so round at least
+# Limits for a saturated patch taken as the sun: distance from the pattern's sun and radius, rad, and the ratio of its
+# reach to its radius
 _PATCH, _LARGEST, _ROUND = np.radians(25.0), np.radians(25.0), 2.5
-# what is spoilt around the disc, rad, and by its radius; how far off the middle of a patch may be, by its radius
+# Radius of the spoilt region: a constant, rad, plus a multiple of the disc's radius; sigma of a patch's centre as a
+# share of its radius
 _BLOOM, _SPREAD, _OFF = np.radians(2.0), 1.2, 0.3
-# rad from a first guess on
+# Largest distance of the sun from a first guess, rad
 _WITHIN = np.radians(35.0)
-# of the pattern: pixels, rad from the horizon, suns that are tried, rad apart, and what it is good for
+# Settings of the pattern fit: number of pixels, least angle from the horizon, grid spacing of trial suns, sigma; rad
 _COUNT, _LOW, _STEP, _COARSE = 600, np.radians(10.0), np.radians(15.0), np.radians(5.0)
-# widths of the exponentials that add up to the light around the sun, rad
+# Widths of the exponentials that add up to the light around the sun, rad
 _WIDTHS = np.radians([1.5, 4.0, 12.0, 36.0])
-# exponents of gradations exp(b / cos z), among those of CIE S 011
+# Exponents b of gradations exp(b / cos z), among those of CIE S 011
 _GRADATIONS = (-0.15, -0.5)
-# rad: how near the aureole is looked at, and the sun above which a parabola is its gradation in the last look
+# Radii of the successive fits to the aureole, rad, and the solar zenith angle below which the last one uses a parabola
+# as gradation
 _LOOKS, _HIGH = np.radians([25.0, 15.0, 8.0]), np.radians(78.0)
-# pixels at least; what the light around the sun must explain of what the gradation leaves; the least sigma, rad
+# Least number of pixels; least share of the variance left by the gradation that the aureole must explain; least sigma,
+# rad
 _PIXELS, _EXPLAINED, _FINEST = 60, 0.5, np.radians(0.1)
 
 
 class FoundSun(NamedTuple):
-    """Zenith angle and azimuth of the sun in a picture, rad, and how well they are known: a standard deviation, rad.
+    """Zenith angle and azimuth of the sun in a picture, rad, and their standard deviation `sigma`, rad.
 
-    `how` it was found; `blinded`: the radius around it that disc and bloom spoil, rad; `explained`: the share of the
-    sky's pattern, in the logarithm of its luminance, that a sun explains.
+    `how` it was found; `blinded`: the radius of the region spoilt by disc and bloom, rad; `explained`: the share of the
+    variance of the sky's log luminance that the sun's pattern explains.
     """
 
     zenith: float
@@ -45,10 +50,10 @@ class FoundSun(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """The pixels of a picture of which the sun is looked for, `[pixel]`.
+    """The pixels of a picture in which the sun is searched, `[pixel]`.
 
-    `luminance` in any unit; `used`, those of the sky that are not `full`, which are at the limit of the file; zenith
-    angles and azimuths, rad; `size`, sr.
+    `luminance` in any unit; `full`, mask of pixels at the file's limit; `used`, mask of sky pixels that are not full;
+    zenith angles and azimuths, rad; `size`, solid angle, sr.
     """
 
     luminance: Float[np.ndarray, " pixel"]
@@ -66,11 +71,11 @@ class Sight(NamedTuple):
 
 
 def find_sun(sight: Sight, near: tuple[float, float] | None = None) -> FoundSun:
-    """The sun of a picture: a disc, else a saturated patch, else by the light around it, else by the whole sky.
+    """Find the sun of a picture: by its disc, else a saturated patch, else the aureole, else the pattern of the sky.
 
-    **Arguments:** `near`, zenith angle and azimuth of a first guess, rad, from which the sun is 35 degrees at most.
-    **Errors:** `ValueError` where too little of the sky is seen. **Valid:** `explained` below a half is no clear sky.
-    A sun that hardly anything hides is found to a tenth of a degree, by the aureole of a low sun to two degrees.
+    **Arguments:** `near`, zenith angle and azimuth of a first guess, rad, at most 35 degrees from the sun.
+    **Errors:** `ValueError` if too little of the sky is seen. **Valid:** `explained` below one half means that the sky
+    is not clear. A nearly unobstructed sun is found within 0.1 degrees, a low sun by its aureole within two degrees.
     """
     disc = _disc(sight)
     if disc is not None:
@@ -80,11 +85,11 @@ def find_sun(sight: Sight, near: tuple[float, float] | None = None) -> FoundSun:
     if disc is not None:
         return FoundSun(*disc[:3], "disc", disc[3], explained)
     patch = _patch(sight, place)
-    # the light around a patch begins at its rim
+    # The aureole around a patch begins at its rim
     place, rim = (place, 0.0) if patch is None else (patch[:2], (patch[3] - _BLOOM) / _SPREAD)
     aureole = _by_aureole(sight.take(sight.used), place, rim)
     if patch is not None:
-        # the patch reaches farther to where the sky is brighter: the light around it knows the middle better
+        # The patch extends farther on the brighter side of the sky, so the aureole gives the better centre
         if aureole is not None and cosine_from_sun(*aureole[:2], *patch[:2]) > np.cos(patch[3]):
             patch = *aureole[:2], max(aureole[2], 0.25 * patch[2]), patch[3]
         return FoundSun(*patch[:3], "patch", patch[3], explained)
@@ -94,7 +99,7 @@ def find_sun(sight: Sight, near: tuple[float, float] | None = None) -> FoundSun:
 
 
 def _disc(sight: Sight):
-    """Zenith angle, azimuth, sigma and spoilt radius of what outshines all that is around it, or None."""
+    """Zenith angle, azimuth, sigma and spoilt radius of a disc much brighter than its surroundings, or None."""
     seen = sight.take(sight.used | sight.full)
     if not seen.luminance.size:
         return None
@@ -108,7 +113,7 @@ def _disc(sight: Sight):
 
 
 def _patch(sight: Sight, place):
-    """The same of the largest saturated patch near a place."""
+    """Zenith angle, azimuth, sigma and spoilt radius of the saturated pixels near a place, or None."""
     full = sight.take(sight.full & sight.within(place, _PATCH))
     if not full.size.size:
         return None
@@ -121,7 +126,7 @@ def _patch(sight: Sight, place):
 
 
 def _middle(patch: Sight, light, off: float):
-    """Zenith angle, azimuth, sigma and spoilt radius of a patch, `off` by a share of its radius."""
+    """Zenith angle, azimuth, sigma and spoilt radius of a patch; `off` is the error as a share of its radius."""
     weight = light * patch.size
     east, north = (weight @ (np.sin(patch.zenith) * turn(patch.azimuth)) for turn in (np.sin, np.cos))
     zenith = float(np.arctan2(np.hypot(east, north), weight @ np.cos(patch.zenith)))
@@ -131,10 +136,10 @@ def _middle(patch: Sight, light, off: float):
 
 
 def _by_pattern(sky: Sight, near) -> tuple[tuple[float, float], float]:
-    r"""The sun of the whole sky, and the share of its pattern that it explains.
+    r"""The sun fitted to the pattern of the whole sky, and the share of the variance that it explains.
 
-    $\ln L = f(\theta) + h(\gamma)$, gradation and scattering part as sums of given functions, by least squares for
-    each sun. Of a sky in which the two mix it is some degrees off.
+    $\ln L = f(\theta) + h(\gamma)$, with gradation f and scattering part h as sums of given functions, fitted by least
+    squares for each trial sun. If the sky does not separate into these two parts the sun is a few degrees off.
     """
     high = sky.take(sky.zenith < 0.5 * np.pi - _LOW)
     if high.size.size < _PIXELS:
@@ -160,7 +165,7 @@ def _by_pattern(sky: Sight, near) -> tuple[tuple[float, float], float]:
 
 
 def _by_aureole(sky: Sight, place, rim: float):
-    """The sun by the light around it, looked at ever nearer, with its sigma; None where there is too little of it."""
+    """The sun fitted to the aureole in regions of decreasing radius, with sigma; None if there is too little light."""
     sigma = _COARSE
     for look in _LOOKS + rim:
         before = place
@@ -177,7 +182,7 @@ def _by_aureole(sky: Sight, place, rim: float):
 
             def left(move, some=some, place=place, bright=bright, gradation=gradation, look=look):
                 away = cosine_from_sun(some.zenith, some.azimuth, *_moved(place, move))
-                # a sun outside of what is looked at explains nothing
+                # A sun outside the region explains nothing
                 beyond = max(float(np.hypot(*move)) - look, 0.0)
                 return _left(bright, gradation, _around(away, _WIDTHS[:-1]), some.size) + beyond
 
@@ -193,12 +198,12 @@ def _by_aureole(sky: Sight, place, rim: float):
 
 
 def _around(cosine, widths):
-    """Exponentials of the angle from the sun."""
+    """Exponentials of the negative angle from the sun over each width."""
     return np.exp(-np.arccos(np.clip(cosine, -1.0, 1.0))[None] / widths[:, None])
 
 
 def _left(bright, gradation, around, size=None) -> float:
-    """The variance that a sum of some functions leaves over, pixels by their size."""
+    """The residual variance of a least squares fit by given functions, pixels weighted by size."""
     root = np.ones(bright.size) if size is None else np.sqrt(size)
     columns = np.stack([*gradation, *around], axis=1) * root[:, None]
     found = np.linalg.lstsq(columns, bright * root, rcond=1e-10)[0]
@@ -206,7 +211,7 @@ def _left(bright, gradation, around, size=None) -> float:
 
 
 def _least(left, step: float) -> tuple[float, float]:
-    """The move, rad down and right, that leaves least over, from none on."""
+    """The move, rad down and right, that minimises `left`, starting from no move."""
     from scipy.optimize import minimize
 
     options = {"initial_simplex": np.array([[0.0, 0.0], [step, 0.0], [0.0, step]]), "xatol": 1e-4, "fatol": 1e-10}
@@ -215,7 +220,7 @@ def _least(left, step: float) -> tuple[float, float]:
 
 
 def _moved(place, move) -> tuple[float, float]:
-    """A place so many radians farther down and to the right; no farther down than the horizon."""
+    """A place moved by so many radians down and to the right, at most to the horizon."""
     zenith, azimuth = place
     sine, cosine = np.sin(zenith), np.cos(zenith)
     out, up = sine + move[0] * cosine, cosine - move[0] * sine

@@ -1,4 +1,4 @@
-"""Tables of the air that engines read while they draw: `write_luts`."""
+"""Lookup tables of the air for rendering engines: `write_luts`."""
 
 import json
 from pathlib import Path as FilePath
@@ -22,11 +22,11 @@ from .files import write_picture
 from .render import EYE, SPECTRUM, sunlight
 
 
-# texels across and down, as Hillaire has them; of the volume its slices stand side by side
+# Sizes of the tables in texels, as in Hillaire's paper; the slices of the volume are side by side in its file
 TRANSMITTANCE, MULTIPLE, SKY_VIEW, VOLUME = (256, 64), (32, 32), (192, 108), (32, 32, 32)
-# m, what a slice of the volume is deep in the mean
+# Mean depth of a slice of the volume, m
 _SLICE = 4000.0
-# how a texel is found, for who reads the files
+# Instructions for readers of the files: how to find a texel
 _WORDS = {
     "transmittance": "Of the sun's light to the top of the air, by place and direction. earth = earth_radius_m, "
     "top = earth + top_of_air_m, r = earth + height, H = sqrt(top^2 - earth^2), rho = sqrt(r^2 - earth^2), "
@@ -46,7 +46,7 @@ _WORDS = {
 
 
 class Luts(NamedTuple):
-    """Hillaire's four tables, top row first: transmittances without a unit, light in cd m^-2, linear sRGB."""
+    """Hillaire's four tables, top row first, in linear sRGB: transmittances are dimensionless, light is in cd m^-2."""
 
     transmittance: Float[np.ndarray, "row column 3"]
     multiple_scattering: Float[np.ndarray, "row column 3"]
@@ -63,7 +63,7 @@ def luts(
     sun_azimuth: float = np.pi,
     height: float = EYE,
 ) -> Luts:
-    """The tables that `write_luts` writes; arguments as there."""
+    """The tables that `write_luts` writes; same arguments."""
     solver = Spherical.normal() if solver is None else solver
     check_range("height", height, 0.0, 0.999 * TOP_OF_AIR, "m")
     if camera.projection != "perspective":
@@ -76,9 +76,9 @@ def luts(
         return field.path(scene(views), distance)
 
     zenith, turn = _sky_view_views(height)
-    # with numbers: what is asked for in pieces is traced
+    # Checked here with concrete numbers, because the pieces below are traced
     check_scene(solver, atmosphere, scene(Directions(as_float(zenith[:1]), as_float(turn[:1]))))
-    # for the table of all suns and heights
+    # Prepared for all suns and heights, which the multiple scattering table needs
     field = solver.prepare(atmosphere, SPECTRUM)
     sky = coloured(along(path, zenith, sun_azimuth + turn, np.full(zenith.size, np.inf)))
     east, north, up = _frustum(camera).reshape(3, -1)
@@ -86,7 +86,7 @@ def luts(
     zenith, azimuth = (np.tile(v, VOLUME[2]) for v in (np.arctan2(np.hypot(east, north), up), np.arctan2(east, north)))
     air = coloured(along(path, zenith, azimuth, np.repeat(far, east.size)))
     volume = np.concatenate([air.inscatter, np.mean(air.transmittance, axis=1, keepdims=True)], axis=1)
-    # a row of the picture holds that row of every slice
+    # A row of the file holds the same row of every slice
     volume = volume.reshape(VOLUME[2], VOLUME[1], VOLUME[0], 4).transpose(1, 0, 2, 3).reshape(VOLUME[1], -1, 4)
     return Luts(
         _transmittance(field),
@@ -106,17 +106,17 @@ def write_luts(
     sun_azimuth: float = np.pi,
     height: float = EYE,
 ) -> None:
-    """Tables for engines in Hillaire's layout: four EXR of half precision, and luts.json, which says how to read them.
+    """Write tables for engines in Hillaire's layout: four half-precision EXR files, and luts.json, which explains them.
 
-    `transmittance.exr` (256 x 64) and `multiple_scattering.exr` (32 x 32) of any sun and height; `sky_view.exr`
-    (192 x 108) and `aerial_perspective.exr` (32 slices of 32 x 32 side by side) under the sun that is given.
+    `transmittance.exr` (256 x 64) and `multiple_scattering.exr` (32 x 32) are for any sun and height; `sky_view.exr`
+    (192 x 108) and `aerial_perspective.exr` (32 slices of 32 x 32 side by side) are for the given sun.
 
-    **Arguments:** `folder`, made where it is not there; `camera`, a perspective one, whose frustum the volume is, None:
-    the usual one toward the sun; `solver`, `Spherical`; `sun_zenith`, `sun_azimuth`, rad; `height` of the eye, m.
-    **Errors:** `ValueError` for another camera, or what the solver does not know.
-    **Valid:** light is linear sRGB in cd m^-2 over the scale that the JSON names; colours outside sRGB have a negative
-    component, transmittances are kept between 0 and 1. Read bilinearly with clamped edges, the sky view is within 2 %
-    of the solver away from the sun's aureole and the horizon's last half degree (tests).
+    **Arguments:** `folder`, created if absent; `camera`, a perspective camera whose frustum the volume fills, None:
+    the default camera toward the sun; `solver`, `Spherical`; `sun_zenith`, `sun_azimuth`, rad; `height` of the eye, m.
+    **Errors:** `ValueError` for another camera, and for scenes outside the solver's range.
+    **Valid:** light is linear sRGB in cd m^-2 divided by the scale in the JSON. Colours outside sRGB have a negative
+    component; transmittances are clipped to 0 to 1. Read bilinearly with clamped edges, the sky view agrees with the
+    solver within 2 % outside the sun's aureole and the last half degree to the horizon (tests).
     **Source:** Hillaire 2020, Comput. Graph. Forum 39, 13; transmittance as Bruneton & Neyret 2008 lay it out.
 
     **Example:**
@@ -161,7 +161,7 @@ def write_luts(
 
 
 def _scale(light: np.ndarray) -> float:
-    """The power of two over which the largest value is 512 to 1024: well within half precision."""
+    """The power of two that scales the largest value to 512 to 1024, well within half precision."""
     largest = float(np.max(light[..., :3], initial=0.0))
     return 2.0 ** np.ceil(np.log2(largest / 1024.0)) if largest > 0.0 else 1.0
 
@@ -171,7 +171,7 @@ def _units(count: int) -> Float[np.ndarray, " texel"]:
 
 
 def _sky_view_views(height: float) -> tuple[np.ndarray, np.ndarray]:
-    """Zenith angles and azimuths from the sun of the sky view's texels, row by row."""
+    """Zenith angles, and azimuths from the sun, of the sky view's texels, row by row."""
     horizon = np.pi - np.arcsin(EARTH_RADIUS / (EARTH_RADIUS + height))
     v, u = _units(SKY_VIEW[1]), _units(SKY_VIEW[0])
     above, below = np.minimum(2.0 * v, 1.0), np.maximum(2.0 * v - 1.0, 0.0)
@@ -182,7 +182,7 @@ def _sky_view_views(height: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _frustum(camera: Camera) -> Float[np.ndarray, "3 row column"]:
-    """Views of the volume's texels: their middles lie from edge to edge of the camera's picture."""
+    """Views of the volume's texels, whose centres span the camera's picture from edge to edge."""
     right, up, ahead = camera.axes
     across = np.tan(0.5 * camera.across)
     x = across * (2.0 * _units(VOLUME[0]) - 1.0)
@@ -198,7 +198,7 @@ def _transmittance(field: SphericalField) -> Float[np.ndarray, "row column 3"]:
     radius = np.hypot(rho, EARTH_RADIUS)
     nearest = top - radius
     away = nearest + u * (rho + whole - nearest)
-    # the topmost row looks from the top of the air
+    # At the top of the air the distance may be 0: there the view goes straight up
     cosine = np.where(away > 0.0, (whole**2 - rho**2 - away**2) / (2.0 * radius * np.maximum(away, 1.0)), 1.0)
     constituents = field.atmosphere.constituents
     place = as_float((radius - EARTH_RADIUS).ravel()), as_float(np.clip(cosine, -1.0, 1.0).ravel())
@@ -212,7 +212,7 @@ def _multiple(field: SphericalField) -> Float[np.ndarray, "row column 3"]:
     columns, rows = MULTIPLE
     height, cosine = np.meshgrid(TOP_OF_AIR * _units(rows), 2.0 * _units(columns) - 1.0, indexing="ij")
     sun = np.arccos(cosine.ravel())
-    # the field knows no lower suns, whose light is a millionth
+    # The field ends at this sun; light of lower suns is about a millionth
     lowest = np.radians(float(field.suns_deg[1]))
     light = field.mean_radiance(as_float(height.ravel()), as_float(np.minimum(sun, lowest)))
     light = jnp.where(as_float(sun)[:, None] <= lowest, light * as_float(sunlight())[None], 0.0)

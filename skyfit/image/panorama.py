@@ -1,4 +1,4 @@
-"""A picture of the whole sky, read to be inverted: `read_panorama`."""
+"""Reading of a picture of the whole sky for inversion: `read_panorama`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,21 +26,21 @@ from .picture import Image
 from .render import render, Sun
 
 
-# pixels across, to which a larger picture is reduced: a quarter of a degree and less
+# Larger pictures are reduced to this many pixels on a side, about a quarter of a degree each
 _WIDEST = 1024
-# rad above the horizon that is left out, where ground, haze and refraction are
+# Lowest angle above the horizon that is used, rad; ground, haze and refraction affect the sky below
 _HORIZON = np.radians(2.0)
-# rad: of the patches that are averaged, and so far from a sun whose disc is not seen nothing is used
+# Least radius of the averaged patches, and least distance from the sun that is used, rad
 _PATCH, _NEAR_SUN = np.radians(1.5), np.radians(4.0)
-# of a patch that must be sky; patches without which there is no sky; the share of the pattern that a sun explains
+# Least share of a patch that must be open sky; least number of patches; least share of the pattern that a sun explains
 _SHARE, _FEWEST, _EXPLAINED = 0.5, 30, 0.5
-# noise of a patch, of itself and of the median: cameras' curves and vignettes are known to some per cent
+# Noise of a patch, relative to itself and to the median: cameras' curves and vignettes are known to a few per cent
 _RELATIVE, _FLOOR = 0.02, 0.02
-# sigma of each channel's scale where the picture's level and white are unknown
+# Sigma of each channel's scale if the picture's level and white are unknown
 _ANY_SCALE = 0.9
-# the turbidity whose luminance stands for a level that is not known, and the lowest sun of that formula, rad
+# Turbidity of the sky that replaces an unknown level, and largest solar zenith angle of that formula, rad
 _USUAL, _LOWEST = 3.0, np.radians(89.0)
-# nm, of its daylight
+# Longest wavelength of that formula, nm
 _LONGEST = 830.0
 
 
@@ -48,12 +48,13 @@ _LONGEST = 830.0
 class Panorama:
     """A picture of the sky with the sun found in it.
 
-    - `rgb` `[row, column, 3]`: linear, the top row first, in cd m^-2 or, of unknown level, about that
-    - `used` `[row, column]`: pixels of open sky, none of them masked, saturated, beside the sun or at the horizon
-    - `camera` says which way pixels look; `sun`, where the sun was found, in its frame
-    - `sky`, area averages of small patches all over the dome, as `skyfit.invert` takes them; the scale of each channel
-      is fitted with them, unless the level was given
-    - `notes`: what was assumed and left out
+    - `rgb` `[row, column, 3]`: linear, the top row first, in cd m^-2; approximate if the level is unknown
+    - `used` `[row, column]`: mask of open sky; excludes masked and saturated pixels, the sun's surroundings and the
+      horizon
+    - `camera` gives the directions of the pixels; `sun`, the sun's position found, in the camera's frame
+    - `sky`, area averages of small patches all over the dome, for `skyfit.invert`; the fit includes a scale for each
+      channel unless the level was given
+    - `notes`: assumptions, and what was left out
 
     **Example:**
 
@@ -73,17 +74,17 @@ class Panorama:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """The names that such a picture determines: of a sun that only the pattern shows its place too."""
+        """The parameters that the picture determines; includes the sun's position if only the pattern gave it."""
         return PICTURE_FREE + (SUN_FREE if self.sun.how == "pattern" else ())
 
     def clean(self, fit: Fit, camera: Camera | None = None, sun: Sun = "none", solver: AbstractSolver | None = None):
-        """The fitted sky by itself, without clouds, of the level that its atmosphere gives it.
+        """Render the fitted sky, without clouds, at the radiance of its atmosphere.
 
-        **Arguments:** `fit` of this panorama's `sky`; `camera` (default: the panorama's); `sun` as `skyfit.render`
-        has it; `solver` (default: the fit's). **Returns:** `Image`, ground included.
+        **Arguments:** `fit` of this panorama's `sky`; `camera` (default: the panorama's); `sun` as in `skyfit.render`;
+        `solver` (default: the fit's). **Returns:** `Image`, ground included.
         """
         model, (zenith, azimuth) = fit.fitted.models[0], self.fitted_sun(fit)
-        # of the precision of this process
+        # Converted to the float type of this process
         air = from_description(describe(model.atmosphere))
         camera = self.camera if camera is None else camera
         return render(
@@ -96,13 +97,13 @@ class Panorama:
         )
 
     def fitted_sun(self, fit: Fit) -> tuple[float, float]:
-        """Zenith angle and azimuth of the sun in the frame of the camera, rad, with what the fit has moved it by."""
+        """Zenith angle and azimuth of the sun in the camera's frame, rad, including the shift found by the fit."""
         moved = fit.fitted.models[0].instrument
         azimuth = self.sun.azimuth + float(moved.pointing_azimuth)
         return self.sun.zenith + float(moved.sun_zenith), azimuth % (2.0 * np.pi)
 
     def predicted(self, fit: Fit, clean: Image | None = None) -> Float[np.ndarray, "row column 3"]:
-        """The fitted sky as `rgb` has it: each channel of `clean` scaled by its median over the used pixels."""
+        """The fitted sky for comparison with `rgb`: each channel of `clean` times the median ratio over used pixels."""
         made = (self.clean(fit) if clean is None else clean).rgb()
         with np.errstate(divide="ignore", invalid="ignore"):
             return made * np.nanmedian(self.rgb[self.used] / made[self.used], axis=0)
@@ -126,24 +127,24 @@ def read_panorama(
     altitude: float = float("nan"),
     count: int = 300,
 ) -> Panorama:
-    """The sky of a picture: an equirectangular panorama or a fisheye that looks up, level.
+    """Read a picture of the sky: an equirectangular panorama or an upward fisheye, with a level camera.
 
     **Arguments**
 
     - `path`: .exr, .hdr, .png or .tif with channels R, G and B
-    - `projection`: "equirect" or "fisheye", with the lens's mapping after a colon: "fisheye:equisolid"; `lens`, k1 and
-      k2 of its distortion, `field_of_view`, `azimuth` and `mirrored` as `Camera` has them, rad
+    - `projection`: "equirect" or "fisheye", optionally with the lens's mapping after a colon: "fisheye:equisolid";
+      `lens`, k1 and k2 of its distortion, `field_of_view`, `azimuth` and `mirrored` as in `Camera`, rad
     - `mask`: a picture of the same size, white where the sky is to be used
     - `encoding`: "linear" or "srgb"; None: by the kind of the file's numbers
-    - `level`: cd m^-2 (or what `response` reads) of the value 1, None: not known; `response` of a calibrated camera's
-      red, green and blue, else those of linear sRGB
-    - `sun`: zenith angle and azimuth, rad, as a first guess, near which it is then looked for
+    - `level`: luminance of the value 1, cd m^-2 (or in the unit of `response`), None: unknown; `response` of a
+      calibrated camera's red, green and blue, by default that of linear sRGB
+    - `sun`: zenith angle and azimuth, rad, a first guess near which the sun is searched
     - `time`, UTC, `place`, latitude and longitude in degrees, and `altitude`, m, of the station, if known
-    - `count`: patches spread over the dome
+    - `count`: number of patches spread over the dome
 
-    **Returns:** a `Panorama`. **Errors:** `ValueError` for a file that is no such picture, or shows no sky.
-    **Valid:** a clear sky; scattered clouds are left to the loss of the fit. Pixels within 2 degrees of the horizon and
-    4 degrees of the sun, or what its bloom spoils, are left out.
+    **Returns:** a `Panorama`. **Errors:** `ValueError` if the file is no such picture, or shows no sky.
+    **Valid:** a clear sky; the loss of the fit handles scattered clouds. Pixels within 2 degrees of the horizon and
+    within 4 degrees of the sun or the region spoilt by its bloom are left out.
 
     **Example:**
 
@@ -244,7 +245,7 @@ def _told(sun: FoundSun) -> str:
 
 
 class _Patches(NamedTuple):
-    """Means over small parts of the sky, `[patch]`: red, green and blue, where they look, rad, and which are open."""
+    """Averages over small patches of the sky, `[patch]`: red, green and blue, directions, rad, and which are open."""
 
     rgb: Float[np.ndarray, "patch 3"]
     zenith: Float[np.ndarray, " patch"]
@@ -253,7 +254,7 @@ class _Patches(NamedTuple):
 
 
 def _patches(rgb, used, above, size, views, count: int) -> _Patches:
-    """Patches that spread evenly over the dome; as many of each picture, so that another one compiles nothing."""
+    """Patches spread evenly over the dome; their number is fixed, so that another picture needs no compilation."""
     from scipy.spatial import KDTree
 
     dome = hemisphere(count, 0.5 * np.pi - _HORIZON)
@@ -273,7 +274,7 @@ def _patches(rgb, used, above, size, views, count: int) -> _Patches:
 
 
 def _usual_level(patches: _Patches, sun: FoundSun, response: Response) -> float:
-    """The reading of the value 1, if the patches have the green of a usual sky."""
+    """The reading that corresponds to the value 1 if the patches have the green of a typical sky."""
     views = Directions(patches.zenith, patches.azimuth)
     known = response.wavelength_nm <= _LONGEST
     nm = response.wavelength_nm[known]

@@ -1,4 +1,4 @@
-"""A picture of light, and what screens and files make of it."""
+"""A picture of luminance and colour, and its conversion for screens and files."""
 
 import json
 from dataclasses import dataclass
@@ -22,21 +22,21 @@ from .files import aces, write_picture
 Space = Literal["srgb", "rec2020", "acescg", "xyz"]
 Tone = Literal["filmic", "aces", "clip"]
 _NAMES = {"srgb": "sRGB", "rec2020": "ITU-R BT.2020", "acescg": "ACEScg"}
-# white is this many times the mean luminance (cd m^-2) to this power: what was once dark stays a little darker
+# White is _WHITE times the mean luminance (cd m^-2) to the power _POWER: dark scenes stay a little darker
 _WHITE, _POWER = 8.0, 0.93
-# white at exposure value 0 and ISO 100, cd m^-2: Lagarde & de Rousiers 2014, Moving Frostbite to PBR, sec. 5.1.2
+# White at exposure value 0 and ISO 100, cd m^-2: Lagarde & de Rousiers 2014, Moving Frostbite to PBR, sec. 5.1.2
 _WHITE_AT_EV_0 = 1.2
-# exposure values, and K
+# Ranges of the exposure value and of the daylight temperature, K
 _EXPOSURES, _DAYLIGHTS = (-20.0, 30.0), (4000.0, 25000.0)
-# of "filmic": how fast its shoulder rises, and how fast colours pale beyond white
+# Parameters of "filmic": slope of the shoulder, and rate at which colours turn white beyond white
 _SHOULDER, _PALER = 1.6, 0.1
-# of half precision
+# Largest number of half precision
 _LARGEST_HALF = 65504.0
 
 
 @dataclass(frozen=True)
 class Lamp:
-    """The sun as a light: where it is, rad, and X, Y, Z of its beam on a plane normal to it, lx."""
+    """The sun as a light source: its position, rad, and X, Y, Z of its beam on a plane normal to it, lx."""
 
     sun_zenith: float
     sun_azimuth: float
@@ -47,8 +47,8 @@ class Lamp:
 class Image:
     """A picture: `xyz` `[row, column, 3]`, the CIE 1931 observer's X, Y, Z in cd m^-2, the top row first.
 
-    `camera` says which way its pixels look; `lamp` is the sun, whether the picture has it or not; `made_by`, the solver
-    or the formula.
+    `camera` gives the directions of its pixels; `lamp` is the sun, whether the picture shows it or not; `made_by`, the
+    solver or the formula.
 
     **Example:**
 
@@ -67,16 +67,16 @@ class Image:
     def rgb(self, space: Space = "srgb", white_balance: float | None = None) -> Float[np.ndarray, "row column 3"]:
         """Linear red, green, blue in cd m^-2: three equal values are white of that luminance. Not clipped.
 
-        **Arguments:** `space`; `white_balance`, the temperature (K) of daylight that is to be white, None: the space's
-        own white is. ACEScg, whose white is D60, and "xyz", which has none, are adapted from D65 and not at all.
+        **Arguments:** `space`; `white_balance`, the temperature (K) of the daylight that becomes white, None: that of
+        the space. ACEScg, whose white is D60, is adapted from D65; "xyz", which has no white, is not adapted.
         **Source:** matrices and Bradford's adaptation as colour-science has them.
         """
         return self.xyz @ _matrix(space, white_balance).astype(np.float32).T
 
     def white(self, exposure: float | None = None) -> float:
-        """The luminance (cd m^-2) that is white: at an exposure value (ISO 100), None: by the mean luminance.
+        """The luminance (cd m^-2) of white at an exposure value (ISO 100), None: derived from the mean luminance.
 
-        The mean is over the sphere that is seen, without what is brighter than a thousand times the median: the sun.
+        The mean is over the solid angle seen, without pixels brighter than a thousand times the median (the sun).
         """
         if exposure is not None:
             check_range("exposure", exposure, *_EXPOSURES)
@@ -95,9 +95,9 @@ class Image:
     ) -> Float[np.ndarray, "row column 3"]:
         """Encoded sRGB from 0 to 1, exposed so that `white` is 1 before the curve of `tone`.
 
-        **Arguments:** `exposure` as `white`; `white_balance` as `rgb`; `tone`: "filmic", whose shoulder is the same for
-        the three channels, so that colours stay, and what is far brighter than white turns white; "aces", the output
-        transform of ACES 2.0; or "clip".
+        **Arguments:** `exposure` as for `white`; `white_balance` as for `rgb`; `tone`: "filmic" applies the same
+        shoulder to the three channels, which keeps colours, and turns light far brighter than white into white; "aces"
+        is the output transform of ACES 2.0; or "clip".
         **Source:** IEC 61966-2-1:1999.
         """
         if tone not in ("filmic", "aces", "clip"):
@@ -122,12 +122,12 @@ class Image:
         space: Space = "srgb",
         half: bool = False,
     ) -> None:
-        """Writes the picture: `.exr` or `.hdr`, linear, or `.png`, developed, 8 bits.
+        """Write the picture: `.exr` or `.hdr`, linear, or `.png`, developed, 8 bits.
 
-        **Arguments:** `exposure` and `tone` of a PNG; `space` and `half` of an EXR: red, green, blue in cd m^-2 times
-        its `whiteLuminance`, which is 1, or with `half` precision a power of two that keeps the largest within it.
-        A Radiance `.hdr` is linear sRGB in cd m^-2, negative values cut off.
-        **Errors:** `ValueError` for another suffix, a `space` or `half` precision that an `.hdr` does not know.
+        **Arguments:** `exposure` and `tone` of a PNG; `space` and `half` precision of an EXR. An EXR's values times its
+        `whiteLuminance` are red, green, blue in cd m^-2. `whiteLuminance` is 1, or with `half` a power of two that
+        keeps the largest value in range. A Radiance `.hdr` is linear sRGB in cd m^-2, with negative values set to 0.
+        **Errors:** `ValueError` for another suffix, and for `space` or `half` with a file other than an EXR.
         """
         path = Path(path)
         check_saving(path, exposure, white_balance, space, half)
@@ -149,7 +149,7 @@ class Image:
             write_picture(path, rgb, "float", {"ImageDescription": self.told()})
 
     def told(self) -> str:
-        """Which way the picture is up, and of what sun it is, in words."""
+        """A description in words of the picture's orientation and sun."""
         camera, lamp = self.camera, self.lamp
         around = {
             "equirect": f"the whole sphere, zenith on top, azimuth growing to the right, {_degrees(camera.azimuth)} in "
@@ -165,7 +165,7 @@ class Image:
         return f"skyfit, {self.made_by}; {around}; azimuth clockwise from north; {sun}; cd m-2"
 
     def save_lamp(self, path: str | Path) -> None:
-        """Writes the sun as JSON: unit vector east, north, up toward it, illuminance, linear sRGB in lx."""
+        """Write the sun as JSON: unit vector east, north, up toward it, illuminance, linear sRGB in lx."""
         lamp = self.lamp
         record = {
             "toward_east_north_up": np.asarray(unit_vectors(lamp.sun_zenith, lamp.sun_azimuth)).tolist(),
@@ -186,7 +186,7 @@ def check_saving(
     space: Space = "srgb",
     half: bool = False,
 ) -> None:
-    """An error for what `Image.save` cannot do with a path of this suffix, or here; arguments as it has them."""
+    """Raise an error if `Image.save` cannot write such a file; same arguments."""
     if path.suffix not in (".exr", ".hdr", ".png"):
         raise ValueError(f"`path` must end in .exr, .hdr or .png, got {path}")
     if path.suffix != ".exr" and (space != "srgb" or half):
@@ -202,7 +202,7 @@ def _degrees(angle: float) -> str:
 
 @lru_cache
 def _matrix(space: str, white_balance: float | None) -> Float[np.ndarray, "3 3"]:
-    """Linear red, green, blue from X, Y, Z, both in cd m^-2."""
+    """The matrix from X, Y, Z to linear red, green, blue, both in cd m^-2."""
     if space not in (*_NAMES, "xyz"):
         raise ValueError(f"`space` must be one of {', '.join(_NAMES)}, xyz, got {space!r}")
     check_range("white_balance", white_balance, *_DAYLIGHTS, "K")
@@ -223,7 +223,7 @@ def _matrix(space: str, white_balance: float | None) -> Float[np.ndarray, "3 3"]
 
 
 def _half_scale(rgb: np.ndarray, half: bool) -> float:
-    """The power of two that keeps the largest value within half precision, 1 without it."""
+    """The power of two that keeps the largest value within half precision; 1 without `half`."""
     largest = float(np.max(rgb, initial=0.0))
     return 2.0 ** max(np.ceil(np.log2(largest / _LARGEST_HALF)), 0.0) if half and largest > 0.0 else 1.0
 

@@ -1,4 +1,4 @@
-"""The light around an observer in few directions, and between them."""
+"""A table of the light around an observer, interpolated between directions."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -7,18 +7,18 @@ import numpy as np
 from jaxtyping import Float
 
 
-# nodes of the zenith angle above and below the horizon, and of the azimuth from the sun
+# Numbers of nodes: zenith angle above and below the horizon, and azimuth from the sun
 _ABOVE, _BELOW, _AROUND = 128, 64, 96
-# the share of them that crowd toward the sun and the horizon, and from how near on, rad: from an eye's height the
-# ground of the last kilometres lies within a hundredth of a degree
+# Share of the nodes concentrated at each of sun and horizon, and the distances, rad, within which the concentration
+# stops growing: from eye height the last kilometres of the ground lie within a hundredth of a degree
 _CROWD, _NEAR_SUN, _NEAR_HORIZON = 0.3, np.radians(0.2), np.radians(0.001)
-# rad: how near to the horizon the nodes go, for at it a view belongs to neither side
+# Distance of the nearest nodes from the horizon, rad; a view exactly at the horizon belongs to neither side
 _EDGE = 1e-6
 _DARK = 1e-20
 
 
 class _Side(NamedTuple):
-    """One side of the horizon: nodes of the zenith angle, of the azimuth, and the spline of the light's logarithm."""
+    """One side of the horizon: nodes of zenith angle and azimuth, and spline coefficients of the log light."""
 
     zenith: Float[np.ndarray, " zenith"]
     azimuth: Float[np.ndarray, " azimuth"]
@@ -26,11 +26,11 @@ class _Side(NamedTuple):
 
 
 class LightTable:
-    """X, Y, Z in all directions, by cubic splines of their logarithm through some.
+    """X, Y, Z in all directions, by cubic splines of their logarithm through a grid of directions.
 
-    The light is the same on both sides of the sun's meridian. Nodes crowd the sun and the horizon, which lies
-    at the zenith angle `horizon`; it is an edge. Above `air`, seen from outside of it, and perhaps below the horizon
-    there is nothing.
+    The light is symmetric about the sun's meridian. Nodes are dense near the sun and near the horizon, which lies at
+    the zenith angle `horizon` and where the light is discontinuous. The light is 0 above the zenith angle `air`, the
+    edge of the air seen from space, and below the horizon if `below` is False.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class LightTable:
         ]
 
     def at(self, zenith: Float[np.ndarray, " view"], azimuth: Float[np.ndarray, " view"]) -> np.ndarray:
-        """X, Y, Z `[view, 3]`, 0 where there is nothing; `azimuth` from the sun, rad."""
+        """X, Y, Z `[view, 3]`, 0 outside the table; `azimuth` from the sun, rad."""
         from scipy.ndimage import map_coordinates
 
         turn = np.abs((azimuth + np.pi) % (2.0 * np.pi) - np.pi)
@@ -76,7 +76,7 @@ class LightTable:
 
 
 def _nodes(low: float, high: float, crowds: dict[float, float], count: int) -> Float[np.ndarray, " node"]:
-    """Nodes from `low` to `high`, denser toward some places, by the inverse of the distance and what counts as near."""
+    """Nodes from `low` to `high`; near each place in `crowds` their density varies as 1 / (distance + given size)."""
     beside = [place + side * np.geomspace(1e-6, np.pi, 4001) for place in crowds for side in (-1.0, 1.0)]
     fine = np.unique(np.clip(np.concatenate([np.linspace(low, high, 8001), *beside]), low, high))
     density = np.full(fine.size, (1.0 - _CROWD * len(crowds)) / (high - low))

@@ -1,4 +1,4 @@
-"""From spectral radiance to what an eye and a screen make of it."""
+"""Conversion of spectral radiance to tristimulus values, chromaticity and sRGB."""
 
 import warnings
 from functools import lru_cache
@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Float, Real
 LUMINOUS_EFFICACY = 683.0  # lm W^-1
 
 # IEC 61966-2-1:1999, linear sRGB from XYZ with Y = 1 for white
-# of linear red, green and blue of sRGB in luminance: IEC 61966-2-1:1999
+# Luminance weights of linear sRGB red, green and blue: IEC 61966-2-1:1999
 SRGB_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 SRGB_FROM_XYZ = np.array(
     [
@@ -23,8 +23,8 @@ SRGB_FROM_XYZ = np.array(
 )
 # D65, the white of sRGB and of grey skies
 WHITE = (0.3127, 0.3290)
-SMALLEST_Y = 1e-6  # of a chromaticity that is divided by
-_SRGB_LINEAR_END = 0.0031308  # the same standard: below, the transfer function is a line
+SMALLEST_Y = 1e-6  # smallest chromaticity y used as a divisor
+_SRGB_LINEAR_END = 0.0031308  # IEC 61966-2-1:1999: below this value the transfer function is linear
 
 
 def xyz(
@@ -32,13 +32,13 @@ def xyz(
 ) -> Float[Array, "... 3"]:
     r"""Tristimulus values of spectral radiance for the CIE 1931 2 degree observer.
 
-    $(X, Y, Z) = 683 \int L(\lambda) (\bar x, \bar y, \bar z) d\lambda$, $L$ linear between the
-    wavelengths: a coarse grid costs only what it leaves out of $L$, not of the observer.
+    $(X, Y, Z) = 683 \int L(\lambda) (\bar x, \bar y, \bar z) d\lambda$, with $L$ linear between the
+    wavelengths: a coarse grid loses detail of $L$ only, not of the observer functions.
 
     **Arguments:** `radiance` W m^-2 sr^-1 nm^-1, `[..., wavelength]`; `wavelength_nm` nm, concrete.
     **Returns:** `[..., 3]` in cd m^-2; Y is the luminance.
     **Valid:** increasing wavelengths that cover 400-700 nm, else `ValueError`. Beyond its ends the
-    radiance is held constant, as ASTM E308 does; what lies outside 360-830 nm does not count.
+    radiance is held constant, as in ASTM E308; radiance outside 360-830 nm has no effect.
     **Source:** CIE 015:2018, observer from colour-science (1 nm).
 
     **Example:**
@@ -58,7 +58,7 @@ def xyY(
 
     x = X / (X + Y + Z), y = Y / (X + Y + Z).
 
-    **Arguments, valid, source:** as `xyz`.
+    **Arguments, valid, source:** as for `xyz`.
     **Returns:** as `xyY_from_xyz`.
 
     **Example:**
@@ -92,7 +92,7 @@ def xyz_from_xyY(chromaticity_luminance: Float[Array, "... 3"]) -> Float[Array, 
 
     **Arguments:** `[..., 3]`: x, y, Y as `xyY` returns them.
     **Returns:** `[..., 3]`: X, Y, Z in the unit of Y.
-    **Valid:** y > 0; smaller y is taken as 1e-6.
+    **Valid:** y > 0; y below 1e-6 is raised to 1e-6.
     **Source:** CIE 015:2018.
     """
     x = chromaticity_luminance[..., 0]
@@ -128,16 +128,16 @@ def srgb_from_xyz(tristimulus: Float[Array, "... 3"], exposure: Float[ArrayLike,
     `srgb_from_linear` of $c = M (X, Y, Z) \cdot$ exposure.
 
     **Arguments:** `tristimulus` cd m^-2, `[..., 3]`; `exposure` in 1 / (cd m^-2).
-    **Returns:** `[..., 3]` red, green, blue; 0 to 1 on the screen, not clipped: a colour out of
-    the screen's range or too bright lies outside, and the gradient tells the way back.
-    **Valid:** everywhere; a negative component stays on the straight part of the curve.
+    **Returns:** `[..., 3]` red, green, blue; 0 to 1 is displayable. Values are not clipped: colours outside the
+    screen's gamut or too bright lie outside 0 to 1 and keep their gradient.
+    **Valid:** everywhere; negative components use the linear part of the curve.
     **Source:** IEC 61966-2-1:1999.
     """
     return srgb_from_linear(exposure * linear_from_xyz(tristimulus))
 
 
 def linear_from_xyz(tristimulus: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
-    """Red, green, blue of tristimulus values, in their unit, not clipped. **Source:** IEC 61966-2-1:1999."""
+    """Linear sRGB red, green, blue of tristimulus values, same unit, not clipped. **Source:** IEC 61966-2-1:1999."""
     matrix = jnp.asarray(SRGB_FROM_XYZ, dtype=tristimulus.dtype)
     return jnp.einsum("...w,cw->...c", tristimulus, matrix, precision="highest")
 
@@ -145,7 +145,7 @@ def linear_from_xyz(tristimulus: Float[Array, "... 3"]) -> Float[Array, "... 3"]
 def srgb_from_linear(linear: Float[Array | np.ndarray, "..."]) -> Float[Array, "..."]:
     r"""The transfer function of sRGB, $12.92 c$ up to 0.0031308, $1.055 c^{1/2.4} - 0.055$ beyond.
 
-    **Arguments:** `linear` red, green, blue, 1 for white, in any order. **Returns:** the same, encoded.
+    **Arguments:** `linear` red, green, blue, 1 for white, in any order. **Returns:** the encoded values, same shape.
     **Valid, source:** as `srgb_from_xyz`.
 
     **Example:**
@@ -161,11 +161,11 @@ def srgb_from_linear(linear: Float[Array | np.ndarray, "..."]) -> Float[Array, "
 def observer_weights(
     wavelength_nm: Real[Array | np.ndarray, " wavelength"],
 ) -> Float[np.ndarray, "wavelength 3"]:
-    """683 times the integral of every wavelength's hat function with the observer.
+    """683 times the integral of each wavelength's hat function times the observer functions.
 
-    Both are piecewise linear: between the union of their nodes Simpson's rule is exact.
+    Both factors are piecewise linear, so Simpson's rule between the union of their nodes is exact.
 
-    **Arguments, valid, source:** as `xyz`. **Returns:** float64; `radiance @ weights` are X, Y, Z in cd m^-2.
+    **Arguments, valid, source:** as for `xyz`. **Returns:** float64; `radiance @ weights` gives X, Y, Z in cd m^-2.
     """
     grid = np.asarray(wavelength_nm, dtype=np.float64)
     if grid.size < 2 or not np.all(np.diff(grid) > 0.0):
@@ -188,7 +188,7 @@ def observer_weights(
 
 @lru_cache(maxsize=1)
 def _observer():
-    # without matplotlib it warns of its plots, for which nobody asked
+    # Without matplotlib the import warns that it cannot plot, which is not needed here
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import colour

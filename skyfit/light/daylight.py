@@ -19,7 +19,7 @@ _WEIGHTS_OF_CHROMATICITY = np.array(
         [0.0300, -31.4424, 30.0717],
     ]
 )
-_LOWEST_Y = 0.01  # no colour of a light that the eye sees has a smaller y
+_LOWEST_Y = 0.01  # no visible light has a smaller chromaticity y
 
 
 def daylight(
@@ -32,17 +32,17 @@ def daylight(
     $L = S_D / (683 \int S_D \bar y d\lambda)$, $S_D = S_0 + M_1 S_1 + M_2 S_2$,
     $M_1 = \frac{-1.3515 - 1.7703 x + 5.9114 y}{0.0241 + 0.2562 x - 0.7341 y}$,
     $M_2 = \frac{0.0300 - 31.4424 x + 30.0717 y}{0.0241 + 0.2562 x - 0.7341 y}$.
-    Numerator and denominator are multiplied by M's denominator, whose zeros are no zeros of L: what is left below
-    is y but for a constant.
+    Numerator and denominator of L are multiplied by the denominator of M, whose zeros are not singularities of L. The
+    remaining denominator is y times a constant.
 
     **Arguments:** `x`, `y`, CIE 1931 chromaticity, `[direction]`; `wavelength_nm` nm.
-    **Returns:** W m^-2 sr^-1 nm^-1 per cd m^-2, `[direction, wavelength]`. S is linear between its rows of 5 nm, and
-    the normalisation is that of the whole S: it does not depend on `wavelength_nm`.
-    **Valid:** 300-830 nm; concrete wavelengths outside are a `ValueError`, traced ones have the end's value.
-    The luminance is 1 and the chromaticity x, y within 0.001, whatever they are, where S_D is nowhere negative:
-    at correlated colour temperatures of 4000 to 25000 K, for which it was made. Elsewhere 0 stands for a negative
-    S_D, and the luminance is larger: in Preetham's sky beside a low sun, below 450 nm, by up to 0.14 % at turbidity 10.
-    A y below 0.01 divides as 0.01. Values and gradients are finite everywhere.
+    **Returns:** W m^-2 sr^-1 nm^-1 per cd m^-2, `[direction, wavelength]`. S is linear between its rows of 5 nm. The
+    normalisation uses the whole S and does not depend on `wavelength_nm`.
+    **Valid:** 300-830 nm; concrete wavelengths outside are a `ValueError`, traced ones get the value at the end.
+    Where S_D is nowhere negative, the luminance is 1 and the chromaticity is x, y within 0.001. This holds at
+    correlated colour temperatures of 4000 to 25000 K, for which the basis was made. Elsewhere negative S_D is replaced
+    by 0, which raises the luminance: in Preetham's sky near a low sun, below 450 nm, by up to 0.14 % at turbidity 10.
+    The divisor y is at least 0.01. Values and gradients are finite everywhere.
     **Source:** Preetham 1999 A.5 after Wyszecki & Stiles 1982; S of CIE 015:2018, whose 380-780 nm are his Table 2.
 
     **Example:**
@@ -64,9 +64,9 @@ def daylight(
 
 @lru_cache(maxsize=1)
 def _basis_of_colour() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes in nm; what 1, x and y each add to the numerator there, `[node, 3]`, and to its luminance, `[3]`."""
+    """Nodes in nm; the coefficients of 1, x and y in the numerator there, `[node, 3]`, and in its luminance, `[3]`."""
     table = read_table("cie_daylight_basis.csv")
     basis = np.stack([table["s0"], table["s1"], table["s2"]], axis=-1) @ _WEIGHTS_OF_CHROMATICITY
     luminance = observer_weights(table["wavelength_nm"])[:, 1] @ basis
-    # the luminance is then y itself, but for 0.003
+    # With this scaling the luminance equals y within 0.003
     return table["wavelength_nm"], basis / luminance[2], luminance / luminance[2]

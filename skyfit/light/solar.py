@@ -1,4 +1,4 @@
-"""The sun's light at the top of the atmosphere."""
+"""Solar irradiance at the top of the atmosphere."""
 
 import math
 from typing import Literal
@@ -14,12 +14,12 @@ from ..tables import read_table
 # pi (R / r0)^2: nominal solar radius of IAU 2015 B3, astronomical unit of IAU 2012 B2
 SUN_SOLID_ANGLE = math.pi * (6.957e8 / 1.495978707e11) ** 2  # sr
 
-# Preetham 1999 Table 2: with 6.96e8 m at 1.5e11 m all 38 radiances turn back into irradiances in
-# whole mW m^-2 nm^-1, as NASA tabulates them (1.725 W at 550 nm); with SUN_SOLID_ANGLE they do not
+# Solar solid angle behind Preetham 1999 Table 2: with a radius of 6.96e8 m at 1.5e11 m all 38 radiances become
+# irradiances in whole mW m^-2 nm^-1, as NASA tabulates them (1.725 W at 550 nm); with SUN_SOLID_ANGLE they do not
 _PREETHAM_SOLID_ANGLE = math.pi * (6.96e8 / 1.5e11) ** 2  # sr
 
 _FWHM_PER_SIGMA = 2.0 * math.sqrt(2.0 * math.log(2.0))
-_MARGIN_IN_SIGMA = 4.0  # leaves 6e-5 of the line out, which the normalisation puts back
+_MARGIN_IN_SIGMA = 4.0  # this omits 6e-5 of the line, which the normalisation compensates
 
 
 def extraterrestrial_irradiance(
@@ -27,7 +27,7 @@ def extraterrestrial_irradiance(
     fwhm_nm: float | None = None,
     source: Literal["astm_g173", "preetham"] = "astm_g173",
 ) -> Float[Array, " wavelength"]:
-    r"""Solar irradiance outside the atmosphere, seen through a Gaussian line of the given width.
+    r"""Solar irradiance outside the atmosphere, averaged over a Gaussian line shape of the given width.
 
     $E(\lambda) = \int E_0(\lambda') G(\lambda' - \lambda) d\lambda' / \int G d\lambda'$, with the
     table $E_0$ linear between its rows and each piece integrated in closed form.
@@ -72,7 +72,7 @@ def _solar_table(source: str):
 
 
 def _gaussian_mean(node, value, centre, sigma):
-    """Mean of the piecewise linear table under Gaussians, exact on every piece."""
+    """Mean of the piecewise linear table weighted by Gaussians, exact on every piece."""
     from scipy.special import erf
 
     t = (node[None, :] - centre[:, None]) / sigma
@@ -84,7 +84,7 @@ def _gaussian_mean(node, value, centre, sigma):
 
 
 def earth_sun_factor(day_of_year: Real[ArrayLike, "*time"]) -> Float[Array, "*time"]:
-    r"""Factor on the irradiance at 1 au by the Earth-Sun distance of the day.
+    r"""Ratio of the solar irradiance on a day to that at 1 au, from the Earth-Sun distance.
 
     $(r_0/r)^2 = 1.000110 + 0.034221 \cos\Gamma + 0.001280 \sin\Gamma + 0.000719 \cos 2\Gamma
     + 0.000077 \sin 2\Gamma$, $\Gamma = 2\pi (J - 1) / 365$.

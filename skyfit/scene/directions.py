@@ -8,12 +8,12 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from ..numerics import as_float, as_float_or_none, check_radians, radians_within, Ranged, safe_sqrt, within
 
 
-LOWEST_VISIBLE = -1e-6  # cosine of a view that still counts as horizontal
-MOST_AZIMUTH = 4.0 * np.pi  # rad, either way: what is beyond two turns is degrees
+LOWEST_VISIBLE = -1e-6  # smallest cosine of the zenith angle of a view that still counts as horizontal
+MOST_AZIMUTH = 4.0 * np.pi  # largest azimuth in either direction, rad; beyond two turns the value is probably degrees
 
 
 def haversine(zenith_1, zenith_2, azimuth_difference):
-    r"""$\sin^2(\gamma/2)$ of the angle between two directions, exact for tiny angles.
+    r"""$\sin^2(\gamma/2)$ of the angle between two directions, accurate for tiny angles.
 
     $\sin^2\frac{\gamma}{2} = \sin^2\frac{\theta_1-\theta_2}{2} + \sin\theta_1\sin\theta_2\sin^2\frac{\Delta\phi}{2}$
 
@@ -39,15 +39,15 @@ def angle_between(zenith_1, zenith_2, azimuth_difference):
 
 
 def above_horizon(zenith: Float[Array, " direction"]) -> Bool[Array, " direction"]:
-    """Whether a view meets the sky; the horizontal one does, whatever the rounding of pi / 2."""
+    """Whether a view meets the sky; the horizontal view does, regardless of the rounding of pi / 2."""
     return jnp.cos(zenith) > LOWEST_VISIBLE
 
 
 class Directions(Ranged):
-    """Directions of view: zenith and azimuth in radians, and the solid angle each stands for, if known.
+    """Directions of view: zenith and azimuth angles in radians and, if known, the solid angle each represents.
 
-    Zenith angles are from 0 to pi. Azimuth is clockwise from north, to two turns either way. `weight` is in steradians
-    and sums to 2 pi over a hemisphere.
+    Zenith angles are in [0, pi]. Azimuth is clockwise from north, up to two turns either way. `weight`, the solid
+    angle, is in steradians and sums to 2 pi over a hemisphere.
 
     **Example:**
 
@@ -79,7 +79,7 @@ class Directions(Ranged):
 
 
 def hemisphere(count: int = 343, max_zenith: float = np.pi / 2) -> Directions:
-    """Near-uniform directions over the sky by a Fibonacci spiral, each with the same solid angle.
+    """Near-uniform directions over the sky on a Fibonacci spiral, each with the same solid angle.
 
     **Arguments:** `count`, number of directions (>= 1); `max_zenith`, radians, the edge of the cap.
     **Returns:** `Directions` with weights in sr.
@@ -125,11 +125,11 @@ def unit_vectors(
 
 
 def fisheye(size: int, mirrored: bool = False) -> Float[Array, "3 row column"]:
-    r"""Unit vectors of the pixels of a dome: zenith in the middle, the horizon as its rim, north up, east right.
+    r"""Unit vectors of the pixels of a fisheye image: zenith at the centre, horizon at the rim, north up, east right.
 
     The zenith angle grows linearly with the distance from the middle, $\theta = \frac{\pi}{2} r$.
 
-    **Arguments:** `size`, pixels across, >= 1; `mirrored`: east left, as all-sky cameras have it.
+    **Arguments:** `size`, pixels across, >= 1; `mirrored`: east on the left, as in all-sky cameras.
     **Returns:** dimensionless, `[3, row, column]`, the top row first.
     **Valid:** the corners lie below the horizon, z < 0.
 
@@ -143,6 +143,6 @@ def fisheye(size: int, mirrored: bool = False) -> Float[Array, "3 row column"]:
     edge = (np.arange(size) + 0.5) / size * 2.0 - 1.0
     x, y = np.meshgrid(edge[::-1] if mirrored else edge, edge[::-1])
     radius = np.hypot(x, y)
-    # numpy's sinc has pi in it: sin(pi r / 2) / r
+    # sin(pi r / 2) / r; numpy's sinc(x) is sin(pi x) / (pi x)
     sine = 0.5 * np.pi * np.sinc(0.5 * radius)
     return as_float(np.stack([sine * x, sine * y, np.cos(0.5 * np.pi * radius)]))

@@ -1,4 +1,4 @@
-"""What is looked at: where the sun stands, which directions, which wavelengths."""
+"""The scene: the sun's position, the directions of view and the wavelengths."""
 
 from typing import Literal
 
@@ -14,19 +14,19 @@ from .directions import Directions, MOST_AZIMUTH
 
 
 def _radians(degrees):
-    # on the host where it can be: a program of its own otherwise
+    # Computed with NumPy where possible: with JAX it would be one more compiled program
     return jnp.deg2rad(as_float(degrees)) if isinstance(degrees, jax.Array) else np.deg2rad(np.asarray(degrees, float))
 
 
 class Scene(Ranged):
     """The geometry and the spectrum of one sky, seen by one observer.
 
-    `sun_zenith`, `sun_azimuth` in radians, azimuth clockwise from north, as they are at the observer;
+    `sun_zenith`, `sun_azimuth` at the observer, in radians, azimuth clockwise from north;
     `wavelength_nm`, 200 to 5000 nm; `solar_irradiance` on a plane normal to the sun at the top of the atmosphere,
-    W m^-2 nm^-1; `height` of the observer above the ground in m, None on the ground, which costs nothing.
+    W m^-2 nm^-1; `height` of the observer above the ground in m, or None for the ground, which costs nothing.
 
-    **Valid:** zenith angle 0 to pi, azimuth to two turns, light and height not negative, else `ValueError` where they
-    are not traced.
+    **Valid:** zenith angle 0 to pi, azimuth to two turns, irradiance and height not negative. Concrete values outside
+    are a `ValueError`.
 
     **Example:**
 
@@ -65,12 +65,12 @@ class Scene(Ranged):
         irradiance: Literal["astm_g173", "preetham", "unit"] | np.ndarray = "astm_g173",
         height=None,
     ) -> "Scene":
-        """A scene with the sun given in degrees and the solar spectrum looked up.
+        """A scene from sun angles in degrees, with a tabulated solar spectrum.
 
         **Arguments:** sun angles in degrees; `view`; `wavelength_nm` `[wavelength]`; `day_of_year` scales
-        the irradiance by the Earth-Sun distance (left out: 1 au); `fwhm_nm`, the instrument's Gaussian line
+        the irradiance by the Earth-Sun distance (None: 1 au); `fwhm_nm`, the width of the instrument's Gaussian line
         shape; `irradiance`, a named spectrum, "unit" (1 at every wavelength) or values in W m^-2 nm^-1;
-        `height` of the observer above the ground, m (left out: on the ground).
+        `height` of the observer above the ground, m (None: on the ground).
         **Returns:** a `Scene`. **Valid:** 300-1100 nm for "astm_g173", 380-750 nm for "preetham".
         """
         if isinstance(irradiance, str):
