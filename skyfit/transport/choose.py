@@ -1,4 +1,4 @@
-"""The cheapest solver, resolution, geometry, polarisation and set of constituents that keep to an error."""
+"""Choice of the cheapest solver, resolution, geometry, polarisation and set of constituents within an error."""
 
 import functools
 import itertools
@@ -96,7 +96,7 @@ def choose(atmosphere: Atmosphere, scene: Scene, tolerance: float, *, of: Of = "
     `OrdersOfScattering.fine("spherical", polarised=True)`, which is within 0.5 % of Monte Carlo beyond its noise under
     suns to 80 degrees. The error that lower suns add is included. The model of errors (data/error_model.csv) covers
     observers on the ground, suns to 88 degrees, 340 to 1000 nm and haze to an optical depth of 1.5 by its moments.
-    Beyond, the choice is `Spherical`.
+    Aloft and under lower suns the choice is `Spherical`.
     """
     judged = _judge(atmosphere, scene, tolerance, of)
     if judged is None:

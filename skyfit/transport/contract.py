@@ -145,7 +145,7 @@ class AbstractSolver(Ranged):
     @property
     @abstractmethod
     def model_error(self) -> float:
-        """The relative size of each of the smooth errors that a retrieval allows this solver (`error_shapes`)."""
+        """The relative size of each smooth error that a retrieval assumes for this solver (`error_shapes`)."""
 
     def doubt(self, atmosphere: Atmosphere) -> str | None:
         """Say, in words, why the solver's error in an atmosphere exceeds the stated one; None where it does not."""

@@ -1,4 +1,4 @@
-"""Where views run through the air: the lit parts of each, quadrature points on them, columns from the eye."""
+"""Paths of views through the air: their lit parts, quadrature points on them, columns from the eye."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -144,7 +144,7 @@ def _flux(found: Multiple):
 
 
 def _air_seen(atmosphere: Atmosphere, scene: Scene) -> Float[Array, " direction"] | None:
-    """Least share of the scatterers that each view has before it; None on the ground, where the share is 1."""
+    """Largest share of a scatterer above the observer for views up, 1 for views down; None on the ground."""
     if scene.height is None:
         return None
     left = [c.profile.column_above(scene.height) for c in atmosphere.constituents if c.phase is not None]

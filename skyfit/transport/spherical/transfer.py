@@ -1,4 +1,4 @@
-"""From one order of scattering to the next: light carried along curved paths to every level, under every sun."""
+"""From one order of scattering to the next: light is carried along curved paths to every level, under every sun."""
 
 from typing import NamedTuple
 
