@@ -1,8 +1,8 @@
-"""Least squares over a chain of times: unknowns of each time's own and unknowns that all share, by orthogonal steps.
+"""Least squares over a chain of times, with unknowns of each time and shared unknowns, by orthogonal factorisation.
 
-A joint fit of many times has a Jacobian of blocks: the rows of a time touch its own unknowns and the shared ones, and
-rows that ask for smoothness touch two neighbours. Eliminating one time after the other by QR costs the same for each,
-so that the whole grows linearly with their number, and squares no condition number.
+The Jacobian of a joint fit of many times consists of blocks. The rows of a time depend on its own unknowns and on the
+shared ones; smoothness rows depend on two neighbours. Elimination of one time after the other by QR costs the same for
+each, so that the total cost grows linearly with their number. It squares no condition number.
 **Source:** square-root information smoothing, Bierman 1977, Factorization Methods for Discrete Sequential Estimation,
 ch. 5 and 10; multi-pixel retrievals: Dubovik et al. 2011, Atmos. Meas. Tech. 4, 975, sec. 4.3.
 """
@@ -18,21 +18,21 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from .factor import solve_upper, triangle
 
 
-# standard deviations of the residuals by which a step of one in an unconstrained unknown must pay: what does less is
-# left where it is, for the data do not determine it
+# Change of the residuals, in standard deviations, that a unit step of an unconstrained unknown must make. The data do
+# not determine an unknown that changes them less; it is left where it is.
 _DETERMINED = 0.3
 _MOST_REJECTED = 8
 
 
 class Point(NamedTuple):
-    """Unknowns, or steps of them, or their limits."""
+    """Unknowns, steps of them, or their limits."""
 
     own: Float[Array, "time parameter"]
     shared: Float[Array, " shared"]
 
 
 class Rows(NamedTuple):
-    """Residuals: of each time's samples and priors, of priors of the shared unknowns, of steps between neighbours."""
+    """Residuals of each time's samples and priors, of the shared unknowns' priors, and of steps between neighbours."""
 
     data: Float[Array, "time row"]
     shared: Float[Array, " shared"]
@@ -40,10 +40,10 @@ class Rows(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """The rows with their derivatives, and any number of right-hand sides.
+    """Derivatives of the rows, and any number of right-hand sides.
 
-    `own`, `common`: derivatives of the data rows; `prior`: those of the shared rows; `here`, `after`: those of a step
-    by the earlier and the later unknown, which are diagonal.
+    `own`, `common`: derivatives of the data rows by a time's own and by the shared unknowns; `prior`: those of the
+    shared rows; `here`, `after`: those of a step by the earlier and the later unknown, which are diagonal.
     """
 
     own: Float[Array, "time row parameter"]
@@ -57,9 +57,10 @@ class Blocks(NamedTuple):
 
 
 def blocks_of(jacobian, residual: Rows, point: Point) -> Blocks:
-    """The blocks of a linear operator from `Point` to `Rows`, by one product for each column that a time has.
+    """The blocks of a linear operator from `Point` to `Rows`.
 
-    All even times are asked at once, then all odd ones: no row depends on two of either kind.
+    The number of products does not grow with the times. All even times share a product, and all odd ones: no row
+    depends on two times of the same kind.
     """
     times, own = point.own.shape
     shared = point.shared.size
@@ -104,7 +105,7 @@ def column_norms(blocks: Blocks) -> Point:
 
 
 def without(blocks: Blocks, held: Point) -> Blocks:
-    """The blocks with the columns of held unknowns emptied."""
+    """The blocks with the columns of held unknowns set to zero."""
     own, shared = 1.0 - held.own, 1.0 - held.shared
     return blocks._replace(
         own=blocks.own * own[:, None],
@@ -116,7 +117,7 @@ def without(blocks: Blocks, held: Point) -> Blocks:
 
 
 def damped(blocks: Blocks, size: Point) -> Blocks:
-    """The blocks with a row for each unknown that holds it at 0 with this strength."""
+    """The blocks with an additional row for each unknown, which holds it at 0 with the strength `size`."""
     times, own = size.own.shape
     side = blocks.right.shape[-1]
     diagonal = size.own[:, :, None] * jnp.eye(own, dtype=size.own.dtype)[None]
@@ -137,14 +138,14 @@ class _Eliminated(NamedTuple):
 
 
 def _eliminate(blocks: Blocks) -> _Eliminated:
-    """One time after the other: rows that fix its own unknowns, and what they leave for the next time and the shared.
+    """Eliminate one time after the other: `pivot` fixes its own unknowns, `last` remains for the shared ones.
 
-    `carried` holds what all earlier times say about (own, shared, right-hand sides) of a time.
+    `carried` is the information of all earlier times on (own, shared, right-hand sides) of a time.
     """
     times, _, own = blocks.own.shape
     shared, side = blocks.common.shape[2], blocks.right.shape[2]
     dtype = blocks.own.dtype
-    # the link of the last time is empty
+    # The link of the last time is empty.
     pad = ((0, 1), (0, 0))
     here, after = jnp.pad(blocks.here, pad), jnp.pad(blocks.after, pad)
     link_right = jnp.pad(blocks.step_right, (*pad, (0, 0)))
@@ -170,7 +171,7 @@ def _eliminate(blocks: Blocks) -> _Eliminated:
 
 
 def _triangle(rows: Float[Array, "row column"], count: int) -> Float[Array, "count column"]:
-    """The first `count` rows of R, filled up with empty ones; with positive diagonal, so that R follows its matrix."""
+    """The first `count` rows of R, padded with zeros; its diagonal is positive, so that R is continuous in `rows`."""
     if rows.shape[0] == 0 or rows.shape[1] == 0:
         return jnp.zeros((count, rows.shape[1]), rows.dtype)
     factor = triangle(rows)
@@ -187,9 +188,9 @@ def reduced(own, common, right, count: int):
 
 
 def solve_chain(blocks: Blocks) -> tuple[Float[Array, "time parameter side"], Float[Array, "shared side"]]:
-    """The unknowns that minimise the sum of squares of rows plus right-hand side, for each of the sides.
+    """The unknowns that minimise the sum of squares of rows plus right-hand side, for each right-hand side.
 
-    **Valid:** every unknown must have a row (`damped` sees to that).
+    **Valid:** every unknown must have a row (`damped` adds one).
     """
     own, shared = blocks.own.shape[2], blocks.common.shape[2]
     done = _eliminate(blocks)
@@ -211,13 +212,13 @@ def solve_chain(blocks: Blocks) -> tuple[Float[Array, "time parameter side"], Fl
 
 
 def marginal_rows(blocks: Blocks, guard: Point) -> Float[Array, "time row column"]:
-    """All that the data say about each time's own and the shared unknowns, the other times' own ones eliminated.
+    """Rows with all information on each time's own and the shared unknowns; those of other times are eliminated.
 
-    **Arguments:** `guard`, strengths too small to matter that keep the elimination of unknowns without influence sound.
+    **Arguments:** `guard`, strengths too small to matter, by which unknowns without influence can be eliminated.
     **Returns:** rows over (own, shared); their normal matrix is the inverse of that marginal covariance.
     """
     safe = damped(blocks, guard)
-    # what earlier and what later times carry here; the shared prior rows come with the first of them
+    # Information that earlier and later times carry here. That of the earlier ones contains the shared prior rows.
     safe = safe._replace(prior=blocks.prior, prior_right=blocks.prior_right)
     empty = jnp.zeros_like(blocks.prior)
     backward = Blocks(
@@ -231,14 +232,14 @@ def marginal_rows(blocks: Blocks, guard: Point) -> Float[Array, "time row column
 
 
 def squared_change(blocks: Blocks, step: Point) -> Float[Array, ""]:
-    """By how much a step changes the rows, the sum of squares."""
+    """Sum of squares of the change of the rows by a step."""
     data = jnp.einsum("trp,tp->tr", blocks.own, step.own) + jnp.einsum("trs,s->tr", blocks.common, step.shared)
     link = blocks.here * step.own[:-1] + blocks.after * step.own[1:]
     return jnp.sum(data**2) + jnp.sum((blocks.prior @ step.shared) ** 2) + jnp.sum(link**2)
 
 
 class _ChainState(NamedTuple):
-    """The linear problem at the last accepted point, and how much the whole step to its minimum would change."""
+    """The linear problem at the last accepted point; squared change of its rows by the whole step to its minimum."""
 
     point: Point
     blocks: Blocks
@@ -248,9 +249,9 @@ class _ChainState(NamedTuple):
 class ChainDescent(optx.AbstractDescent):
     r"""Marquardt's step $(J^T J + \lambda\, \mathrm{diag}(J^T J))\, \delta = -J^T r$ within a box, for a chain.
 
-    As `MarquardtDescent`: unknowns at the edge of the box that would leave it are held while the others move. The last
-    `linear` shared unknowns, in which the residuals are linear and which have priors, are not damped: the step is to
-    their best values, and no narrow valley along them slows the others down.
+    As in `MarquardtDescent`, unknowns at the edge of the box that would leave it are held while the others move. The
+    last `linear` shared unknowns, in which the residuals are linear and which have priors, are not damped. The step
+    goes to their best values, so that no narrow valley along them slows the others down.
     """
 
     limit: Point
@@ -283,11 +284,11 @@ class ChainDescent(optx.AbstractDescent):
     def to_best(self, point: Point, blocks: Blocks, damping) -> Point:
         """The step to the minimum of the linear problem in the box, damped by this share of each column's length.
 
-        Combinations that hardly move the residuals (`_DETERMINED`) are damped besides: the step is along what the
-        data determine.
+        Combinations that hardly change the residuals (`_DETERMINED`) are damped in addition: the step is along the
+        combinations that the data determine.
         """
         slope = gradient(blocks)
-        # held at the edge: where the cost falls outward, then where the step of the others would still lead out
+        # Unknowns are held at the edge where the cost falls outward, then where the step would still lead outward.
         side = jax.tree.map(lambda p, limit: jnp.where(jnp.abs(p) >= limit, jnp.sign(p), 0.0), point, self.limit)
         outward = jax.tree.map(lambda s, g: ((s != 0.0) & (s * g <= 0.0)).astype(g.dtype), side, slope)
 
@@ -302,7 +303,7 @@ class ChainDescent(optx.AbstractDescent):
             return jax.tree.map(jnp.maximum, outward, led), step
 
         _, change = jax.lax.fori_loop(0, 2, moved, (outward, jax.tree.map(jnp.zeros_like, point)))
-        # a logistic curve is straight for about this far
+        # A logistic curve is about straight over the distance `longest`.
         bounded = jax.tree.map(
             lambda d, limit: jnp.where(jnp.isfinite(limit), jnp.clip(d, -self.longest, self.longest), d),
             change,
@@ -312,9 +313,11 @@ class ChainDescent(optx.AbstractDescent):
 
 
 class ChainMarquardt(optx.AbstractGaussNewton):
-    """Optimistix' Gauss-Newton loop that ends where the whole step to the minimum changes the residuals by less than
-    `tolerance`: residuals are in standard deviations, so that no determined combination of parameters is further from
-    its best than this share of its sigma. It and `max_steps` may be traced."""
+    """Optimistix' Gauss-Newton loop, ended when the whole step to the minimum changes the residuals by < `tolerance`.
+
+    Residuals are in standard deviations. At the end no determined combination of parameters is further from its best
+    value than this share of its sigma. `tolerance` and `max_steps` may be traced.
+    """
 
     descent: ChainDescent
     max_steps: Int[Array, ""]
@@ -329,7 +332,7 @@ class ChainMarquardt(optx.AbstractGaussNewton):
 
     def terminate(self, fn, y, args, options, state, tags):
         done = (state.num_accepted_steps > 0) & (state.descent_state.change < self.tolerance**2)
-        # a search that only shrinks is where rounding lets no step succeed
+        # When the search only shrinks, rounding lets no step succeed.
         stuck = (state.num_accepted_steps > 0) & (state.num_steps_since_acceptance > _MOST_REJECTED)
         late = state.num_steps >= self.max_steps
         result = optx.RESULTS.where(late & ~(done | stuck), optx.RESULTS.nonlinear_max_steps_reached, state.result)
@@ -337,15 +340,16 @@ class ChainMarquardt(optx.AbstractGaussNewton):
 
 
 def minimise(rows, point: Point, arguments, limit: Point, linear: int, max_steps, tolerance: ArrayLike = 0.05):
-    """The least sum of squares within |unknown| <= `limit` by Levenberg-Marquardt on optimistix' loop.
+    """Minimise the sum of squares within |unknown| <= `limit` by Levenberg-Marquardt on optimistix' loop.
 
-    **Arguments:** `rows(point, arguments)` gives `Rows`, linear about `point`, and what is known besides; `linear` as
-    in `ChainDescent`; `max_steps` and `tolerance` (`ChainMarquardt`), numbers or traced.
-    **Returns:** the point, what `rows` knew at it, the number of steps and optimistix' result; nothing is raised.
+    **Arguments:** `rows(point, arguments)` gives `Rows`, linear about `point`, and auxiliary results; `linear` as in
+    `ChainDescent`; `max_steps` and `tolerance` (`ChainMarquardt`), numbers or traced.
+    **Returns:** the point, the auxiliary results of `rows`, the number of steps and optimistix' result; nothing is
+    raised.
     """
     descent = ChainDescent(limit, linear)
     solver = ChainMarquardt(descent=descent, max_steps=jnp.asarray(max_steps), tolerance=jnp.asarray(tolerance))
     solution = optx.least_squares(rows, solver, point, arguments, has_aux=True, max_steps=None, throw=False)
-    # the sum of a point and a step to the edge is beyond it by rounding
+    # The sum of a point and a step to the edge may be beyond the edge by rounding.
     end = jax.tree.map(lambda p, edge: jnp.clip(p, -edge, edge), solution.value, limit)
     return end, solution.state.aux, solution.stats["num_steps"], solution.result

@@ -1,4 +1,4 @@
-"""The float type of a process: one for all arrays, set by the application."""
+"""The float type of a process, which is the same for all arrays and set by the application."""
 
 import jax.numpy as jnp
 

@@ -1,4 +1,4 @@
-"""Factors of small matrices without LAPACK's threads and without a wait for XLA's."""
+"""Factorisations of small matrices that neither use LAPACK's threads nor wait for XLA's."""
 
 import jax
 import jax.numpy as jnp
@@ -6,13 +6,14 @@ from jaxtyping import Array, Float
 
 
 def triangle(rows: Float[Array, "row column"]) -> Float[Array, "rank column"]:
-    r"""R of a QR by Householder reflections, whose sign is LAPACK's; of $[A, b]$ the last column is $Q^T b$.
+    r"""R of a QR by Householder reflections, with the signs of LAPACK; for $[A, b]$ the last column is $Q^T b$.
 
-    Not `jnp.linalg.qr`: OpenBLAS shares out more than some 9000 numbers to its threads, which wait by yielding, 300
-    times as long as the work takes; and jaxlib 0.10 shares out a batch to XLA's threads, for ever where all wait so.
+    `jnp.linalg.qr` is not used. OpenBLAS distributes more than some 9000 numbers over its threads, which wait by
+    yielding, 300 times as long as the work takes. jaxlib 0.10 distributes a batch over XLA's threads and hangs if all
+    of them wait so.
 
-    **Arguments:** `rows`, few columns: the work of each is a pass over all of them.
-    **Returns:** the upper triangle, as many rows as the smaller side.
+    **Arguments:** `rows`, with few columns: the work for each is a pass over all of them.
+    **Returns:** the upper triangle, with as many rows as the smaller side.
     **Source:** Golub & Van Loan, Matrix Computations, sec. 5.1 and 5.2.
     """
     place, rank = jnp.arange(rows.shape[0]), min(rows.shape)
@@ -28,7 +29,7 @@ def triangle(rows: Float[Array, "row column"]) -> Float[Array, "rank column"]:
         share = columns @ mirror / jnp.where(square > 0.0, square, 1.0)
         return columns - share[:, None] * mirror[None]
 
-    # the last row has nothing below it; with columns as rows memory is passed over in its order
+    # The last row has nothing below it. With columns as rows, memory is read in its order.
     columns = jax.lax.fori_loop(0, min(rank, rows.shape[0] - 1), reflect, rows.T)
     return jnp.triu(columns[:, :rank].T)
 
@@ -56,14 +57,14 @@ def _singular_tangent(primals, tangents):
 def solve_upper(
     matrix: Float[Array, "parameter parameter"], right: Float[Array, "parameter ..."]
 ) -> Float[Array, "parameter ..."]:
-    """The solution of an upper triangle, from its last row up."""
+    """The solution of an upper triangular system, from its last row up."""
     count = matrix.shape[0]
 
     def substitute(k, solution):
         row = count - 1 - k
         return solution.at[row].set((right[row] - matrix[row] @ solution) / matrix[row, row])
 
-    # without an unknown the body, which is traced all the same, has no row
+    # Without unknowns the body, which is traced all the same, has no row.
     return jax.lax.fori_loop(0, count, substitute, jnp.zeros_like(right)) if count else right
 
 
@@ -71,7 +72,7 @@ def solve_upper(
 def tridiagonal_inverse(
     lower: Float[Array, " level"], diagonal: Float[Array, " level"], upper: Float[Array, " level"]
 ) -> Float[Array, "level level"]:
-    """The inverse of a matrix of three diagonals, one of a batch after the other, see `triangle`."""
+    """The inverse of a tridiagonal matrix, one matrix of a batch after the other, see `triangle`."""
     return jax.lax.linalg.tridiagonal_solve(lower, diagonal, upper, jnp.eye(diagonal.shape[0], dtype=diagonal.dtype))
 
 

@@ -13,9 +13,10 @@ _SERIES_LIMIT = 0.5
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def polynomial(coefficients: tuple[float, ...], x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """A polynomial by Horner's rule, the constant's coefficient first; its derivative is one more of them.
+    """A polynomial by Horner's rule, constant coefficient first; its derivative is another such polynomial.
 
-    Differentiated link by link, each link of the rule has two uses, and the compiler makes a kernel of each.
+    If the rule were differentiated step by step, each step would have two uses, and the compiler would make a kernel of
+    each.
     """
     value = jnp.full_like(x, coefficients[-1])
     for c in coefficients[-2::-1]:
@@ -32,7 +33,7 @@ def _polynomial_tangent(coefficients, primals, tangents):
 def phi_functions(x: Float[Array, "..."], count: int = 2) -> tuple[Float[Array, "..."], ...]:
     r"""$\varphi_1(x) = (1 - e^{-x}) / x$ and $\varphi_{k+1}(x) = (1/k! - \varphi_k(x)) / x$.
 
-    The means of $e^{-xt}$ times $(1 - t)^{k-1} / (k-1)!$ over $t \in [0, 1]$, all digits kept.
+    They are the means of $e^{-xt}$ times $(1 - t)^{k-1} / (k-1)!$ over $t \in [0, 1]$, with all digits.
 
     **Arguments:** `x`, dimensionless, any shape; `count`, how many of them, 2 or 3.
     **Returns:** `count` arrays of that shape; 1, 1/2 and 1/6 at x = 0.
@@ -41,7 +42,7 @@ def phi_functions(x: Float[Array, "..."], count: int = 2) -> tuple[Float[Array, 
     """
     small = jnp.abs(x) < _SERIES_LIMIT
     near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
-    # the series is that of the last one; those before it follow without cancellation
+    # The series is that of the last function; those before it follow without cancellation.
     terms = 8 if x.dtype == jnp.float32 else 14
     values = [polynomial(tuple((-1.0) ** k / math.factorial(k + count) for k in range(terms)), near)]
     for k in range(count - 1, 0, -1):
@@ -65,7 +66,7 @@ def exp_mean(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..
     **Valid:** x, y >= 0.
     **Source:** divided difference of the exponential.
     """
-    # chosen by one comparison, so that the gradient at x = y is that of one branch
+    # One comparison chooses both, so that the gradient at x = y is that of one branch.
     low, high = jnp.where(x < y, x, y), jnp.where(x < y, y, x)
     return jnp.exp(-low) * phi1(high - low)
 

@@ -1,4 +1,4 @@
-"""Interpolation by weights, of all nodes or of those around a place; differentiable, the same in every dtype."""
+"""Interpolation by weights of all nodes or of those around a place; differentiable, the same in every dtype."""
 
 import functools
 from typing import Any
@@ -34,8 +34,8 @@ def chebyshev_weights(
 ) -> Float[Array, "wavelength node"]:
     """Weights of polynomial interpolation from `chebyshev_nodes(count)` to points `x` in [-1, 1].
 
-    **Arguments:** `x`, dimensionless; `count`, number of nodes; `kept`, the first coefficients of the interpolant
-    that are used (left out: all `count`).
+    **Arguments:** `x`, dimensionless; `count`, number of nodes; `kept`, the number of first coefficients of the
+    interpolant that are used (None: all `count`).
     **Returns:** weights; `weights @ values_at_nodes` is the interpolant.
     **Source:** discrete orthogonality of Chebyshev polynomials (Trefethen, Approximation Theory, ch. 3).
     """
@@ -50,7 +50,10 @@ def chebyshev_weights(
 
 
 def cubic(place: Any, count: int):
-    """The first of four even nodes around a place and their weights (Lagrange); the end's value beyond the ends."""
+    """Index of the first of four evenly spaced nodes around a place, and their Lagrange weights.
+
+    Beyond the end nodes the end value holds.
+    """
     xp = library_of(place)
     inside = xp.clip(place, 0.0, count - 1.0)
     first = xp.clip(xp.floor(inside).astype(np.int32) - 1, 0, count - 4)
@@ -60,7 +63,7 @@ def cubic(place: Any, count: int):
 
 
 def cubic_weights(place: Any, count: int) -> Any:
-    """`cubic` as a row of weights for all nodes, `[..., node]`; numpy's of numpy's."""
+    """`cubic` as a row of weights for all nodes, `[..., node]`; numpy arrays give numpy arrays."""
     xp = library_of(place)
     first, four = cubic(place, count)
     behind = np.arange(count).reshape(*[1] * place.ndim, count) - first[..., None]
@@ -71,12 +74,15 @@ def cubic_weights(place: Any, count: int) -> Any:
 
 
 def linear(place: Float[Array, "..."], count: int):
-    """The first of two even nodes around a place and their weights; the end's value beyond the ends."""
+    """Index of the first of two evenly spaced nodes around a place, and their weights.
+
+    Beyond the end nodes the end value holds.
+    """
     inside = jnp.clip(place, 0.0, count - 1.0)
     first = jnp.clip(jnp.floor(inside).astype(jnp.int32), 0, count - 2)
     return first, (1.0 - (inside - first), inside - first)
 
 
 def library_of(values: Any):
-    """jax's numpy for its arrays, numpy for others."""
+    """`jax.numpy` for arrays of jax, `numpy` for others."""
     return jnp if isinstance(values, jax.Array) else np

@@ -1,4 +1,4 @@
-"""Least squares by Levenberg-Marquardt and the covariance of what it finds."""
+"""Least squares by Levenberg-Marquardt and the covariance of the solution."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int, PyTree
 from .factor import singular, solve_upper, triangle
 
 
-# logistic transforms of bounded parameters are flat beyond this: 3e-4 of the range is left to the bound
+# Logistic transforms of bounded parameters are flat beyond this: 3e-4 of the range is left to the bound.
 LOGISTIC_LIMIT = 8.0
 
 
@@ -38,7 +38,7 @@ class MarquardtDescent(optx.AbstractDescent):
         return _MarquardtState(y, jnp.zeros((y.size, y.size), y.dtype), jnp.zeros_like(y))
 
     def query(self, y, f_info, state):
-        # R and the first numbers of Q^T r; fewer samples than parameters leave rows out
+        # R and the first numbers of Q^T r. With fewer samples than parameters, rows are missing.
         whole = triangle(jnp.concatenate([f_info.jac.as_matrix(), f_info.residual[:, None]], axis=1))[: y.size]
         whole = jnp.pad(whole, ((0, y.size - whole.shape[0]), (0, 0)))
         return _MarquardtState(y, whole[:, :-1], whole[:, -1])
@@ -49,14 +49,14 @@ class MarquardtDescent(optx.AbstractDescent):
         def damped(held):
             free = jnp.where(held[None], 0.0, state.triangle)
             column = jnp.linalg.norm(free, axis=0)
-            # a parameter without any influence stays where it is
+            # A parameter without any influence stays where it is.
             column = jnp.where(column > 0.0, damping * column, 1.0)
             right = jnp.concatenate([state.projected, jnp.zeros_like(column)])
             rows = jnp.concatenate([free, jnp.diag(column)])
             whole = triangle(jnp.concatenate([rows, right[:, None]], axis=1))[: column.size]
             return -solve_upper(whole[:, :-1], whole[:, -1])
 
-        # held at the edge: where the cost falls outward, then where the step of the others would still lead out
+        # Parameters are held at the edge where the cost falls outward, then where the step would still lead outward.
         at_edge = jnp.abs(state.point) >= self.limit
         side = jnp.sign(state.point)
         held = at_edge & (side * (state.triangle.T @ state.projected) <= 0.0)
@@ -77,7 +77,7 @@ class LevenbergMarquardt(optx.AbstractGaussNewton):
 
 
 class Solution(NamedTuple):
-    """What a least-squares solve ends with; arrays only, so that it passes through jit and vmap.
+    """Result of a least-squares solve; arrays only, so that it passes through jit and vmap.
 
     `residual` and `jacobian` (by the bounded `value`) are those at `value`.
     """
@@ -98,19 +98,19 @@ def least_squares(
     max_steps: int = 100,
     tolerance: float = 1e-3,
 ) -> Solution:
-    r"""The minimum of $\frac12 \sum r_i^2$ within bounds by Levenberg-Marquardt on optimistix' loop.
+    r"""Minimise $\frac12 \sum r_i^2$ within bounds by Levenberg-Marquardt on optimistix' loop.
 
     **Arguments:** `residual(value, arguments)`, one array, whitened (divided by sigma); `bound(free)` maps
-    unconstrained numbers to values; `start`, unconstrained; `limit`, how far from 0 each may go
+    unconstrained numbers to values; `start`, unconstrained; `limit`, the largest distance of each from 0
     (`LOGISTIC_LIMIT` or inf); `tolerance`, relative and absolute, on the unconstrained numbers and the residual.
     **Returns:** `Solution`; nothing is raised, `result` says how it ended (`result_name`).
     **Valid:** the derivative of the solution by `arguments` (implicit adjoint) is that of Gauss-Newton: exact where
-    the residuals vanish, off by their share otherwise.
+    the residuals vanish, otherwise off in proportion to them.
     **Source:** `LevenbergMarquardt`, Jacobian in forward mode.
     """
 
     def linearised(free, arguments):
-        # the dense Jacobian stands for the derivative, so that the compiler sees the model only once
+        # The dense Jacobian replaces the derivative, so that the compiler sees the model only once.
         value = bound(free)
         fixed = jax.lax.stop_gradient(value)
         jacobian, result = jax.jacfwd(lambda v: (residual(v, arguments),) * 2, has_aux=True)(fixed)
@@ -138,11 +138,11 @@ def covariance(
     r"""Covariance $(J^T J)^{-1}$ of whitened least squares from a QR of the Jacobian.
 
     **Arguments:** `jacobian` of the whitened residuals; `scale`, a typical size of each parameter, which
-    conditions the triangle and says what "not determined" means.
+    conditions the triangle and defines what "not determined" means.
     **Returns:** the covariance, and the triangle R of the scaled Jacobian, whose small singular values are the
     combinations that the data do not determine.
-    **Valid:** always; a parameter with a part in a combination without influence has infinite variance and no
-    stated covariance (0), the others are as if such combinations were held.
+    **Valid:** always. A parameter that is part of a combination without influence has infinite variance and no
+    stated covariance (0). The covariance of the others is that with such combinations held fixed.
     **Source:** Golub & Van Loan, Matrix Computations, sec. 5.3 and 5.5.
     """
     factor = triangle(jacobian * scale[None])

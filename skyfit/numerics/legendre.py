@@ -1,7 +1,7 @@
-"""Associated Legendre functions and their kin of spin two, normalised so that the addition theorem has weight one.
+"""Associated Legendre functions, and those of spin two, normalised so that the addition theorem has weight one.
 
-All are short Fourier series of the zenith angle, whose coefficients are constants: of a traced angle nothing is
-worked out but the cosines and sines of its multiples and one product of matrices.
+All are short Fourier series of the zenith angle with constant coefficients. For a traced angle only the cosines and
+sines of its multiples and one product of matrices are computed.
 """
 
 import functools
@@ -17,7 +17,7 @@ def associated_legendre(
     r"""$\Lambda_l^m = \sqrt{(l-m)!/(l+m)!}\, P_l^m(\cos\theta)$ for l < degrees, m < modes (without the phase (-1)^m).
 
     **Arguments:** `zenith` angle; sizes `modes` and `degrees`.
-    **Returns:** `[degree, mode, *shape]`, zero where l < m; numpy's of numpy's. $P_l(\cos\gamma) = \sum_m
+    **Returns:** `[degree, mode, *shape]`, zero where l < m; numpy arrays give numpy arrays. $P_l(\cos\gamma) = \sum_m
     (2-\delta_{m0}) \Lambda_l^m(\theta) \Lambda_l^m(\theta') \cos m\Delta\phi$.
     **Valid:** every angle in [0, pi], with finite gradients.
     """
@@ -40,7 +40,7 @@ def spin_legendre(
 def of_angle(
     series: Float[np.ndarray, "*function term"], zenith: Float[Array | np.ndarray, " *shape"]
 ) -> Float[Array | np.ndarray, "..."]:
-    """Fourier series at zenith angles: `series` over the cosines of 0, 1, .. times the angle, then over their sines."""
+    """Fourier series at zenith angles; `series` has the terms of cos(0), cos(angle), .., then those of the sines."""
     xp = np if isinstance(zenith, np.ndarray) else jnp
     multiple = np.arange(series.shape[-1] // 2).astype(zenith.dtype).reshape(-1, *[1] * zenith.ndim) * zenith[None]
     return xp.tensordot(xp.asarray(series, zenith.dtype), xp.concatenate([xp.cos(multiple), xp.sin(multiple)]), 1)
@@ -48,7 +48,7 @@ def of_angle(
 
 @functools.lru_cache(maxsize=32)
 def legendre_series(modes: int, degrees: int) -> np.ndarray:
-    r"""Of `associated_legendre`, `[degree, mode, term]`, for `of_angle`.
+    r"""Fourier series of `associated_legendre`, `[degree, mode, term]`, for `of_angle`.
 
     $\sqrt{l^2-m^2}\,\Lambda_l^m = (2l-1)\mu\,\Lambda_{l-1}^m - \sqrt{(l-1)^2-m^2}\,\Lambda_{l-2}^m$.
 
@@ -72,7 +72,7 @@ def legendre_series(modes: int, degrees: int) -> np.ndarray:
 
 @functools.lru_cache(maxsize=32)
 def spin_series(modes: int, degrees: int) -> np.ndarray:
-    r"""Of `spin_legendre`, `[function, degree, mode, term]`, for `of_angle`.
+    r"""Fourier series of `spin_legendre`, `[function, degree, mode, term]`, for `of_angle`.
 
     $F_{l+1} = a\mu F_l + b G_l - c F_{l-1}$ with F, G = R, T and T, R.
 
@@ -82,7 +82,7 @@ def spin_series(modes: int, degrees: int) -> np.ndarray:
     zenith = _angles(degrees)
     cosine, sine = np.cos(zenith), np.sin(zenith)
     values = np.zeros((2, degrees, modes, degrees))
-    # from m = 2 on k_m sin^(m - 2): sqrt((2 m)! / ((m - 2)! (m + 2)!)) / 2^m, by its ratio to the one before
+    # From m = 2 on, k_m sin^(m - 2) with k_m = sqrt((2 m)! / ((m - 2)! (m + 2)!)) / 2^m, by its ratio to the last one.
     corner = 0.25 * np.ones(degrees)
     for m in range(modes):
         if m > 2:
@@ -110,7 +110,7 @@ def _angles(count: int) -> np.ndarray:
 
 
 def _fourier(values: np.ndarray) -> np.ndarray:
-    """The series of functions at `_angles`, `[..., mode, angle]`: of even modes in cosines, of odd ones in sines."""
+    """Fourier series of functions at `_angles`, `[..., mode, angle]`: cosines for even modes, sines for odd ones."""
     count = values.shape[-1]
     multiple = np.arange(count)[:, None] * _angles(count)[None]
     basis = np.stack([np.cos(multiple), np.sin(multiple)]) * np.where(np.arange(count) > 0, 2.0, 1.0)[:, None] / count

@@ -1,4 +1,4 @@
-"""Values out of range, refused where they can be seen: what jit, vmap and grad trace is left alone."""
+"""Checks of the range of values; values that jit, vmap and grad trace are not checked."""
 
 from dataclasses import fields
 
@@ -10,13 +10,13 @@ from jaxtyping import Float
 from .dtype import as_float
 
 
-# relative; what float32 makes of an end of a range lies in the range
+# Relative tolerance: an end of a range that is rounded to float32 lies in the range.
 _ROUNDING = 1e-6
-# of unit vectors, which may have been written with few digits
+# Tolerance of the length of unit vectors, which may have been written with few digits.
 _LENGTH = 1e-3
-# hints of what was meant
+# Hint, in messages, at what was meant.
 IN_MICROMETRES = "micrometres times 1000"
-# nm, of formulas and of what is given at the wavelengths that are asked for
+# Range (nm) of formulas, and of quantities given at the wavelengths that are asked for.
 ALL_WAVELENGTHS = (0.0, float("inf"))
 _IN_DEGREES = "angles are radians: np.radians(degrees)"
 
@@ -32,9 +32,9 @@ def concrete(value) -> Float[np.ndarray, "..."] | None:
 
 
 def check_range(name: str, value, low: float, high: float, unit: str = "", hint: str = "") -> None:
-    """A `ValueError` that names the argument, unless every number of it lies in [low, high].
+    """Raise a `ValueError` that names the argument, unless every number of it lies in [low, high].
 
-    **Arguments:** `name` as the caller wrote it; `value`, a number or an array: traced values pass unseen;
+    **Arguments:** `name` as the caller wrote it; `value`, a number or an array (traced values are not checked);
     `low`, `high`, infinite where that side is open (infinity itself then passes, NaN never); `unit` and `hint` for the
     message.
     """
@@ -53,34 +53,34 @@ def check_range(name: str, value, low: float, high: float, unit: str = "", hint:
 
 
 def check_increasing(name: str, value) -> None:
-    """A `ValueError` that names the argument, unless its numbers increase along the last axis."""
+    """Raise a `ValueError` that names the argument, unless its numbers increase along the last axis."""
     known = concrete(value)
     if known is not None and not np.all(np.diff(known) > 0.0):
         raise ValueError(f"`{name}` must increase, got {np.array2string(known, threshold=8).replace(chr(10), '')}")
 
 
 def check_radians(name: str, value, low: float, high: float) -> None:
-    """`check_range` of an angle in radians, which says so: most that are out of range are degrees."""
+    """`check_range` of an angle in radians; the message says so, because most that are out of range are degrees."""
     check_range(name, value, low, high, "rad", _IN_DEGREES)
 
 
 def check_unit_vectors(name: str, value) -> None:
-    """A `ValueError` that names the argument, unless vectors along its first axis have the length 1."""
+    """Raise a `ValueError` that names the argument, unless vectors along its first axis have the length 1."""
     known = concrete(value)
     if known is not None:
         check_range(f"|{name}|", np.linalg.norm(known, axis=0), 1.0 - _LENGTH, 1.0 + _LENGTH, hint="unit vectors")
 
 
 def check_wavelength(wavelength_nm, low: float, high: float, of: str) -> None:
-    """`check_range` of wavelengths in nm by the table or formula that has none beyond, named by `of`."""
+    """`check_range` of wavelengths in nm; `of` names the table or formula that ends at `low` and `high`."""
     check_range("wavelength_nm", wavelength_nm, low, high, "nm", of)
 
 
 def table_range(table_nm, values=None) -> tuple[float, float]:
-    """The wavelengths at which a table is known: between its ends, and beyond one where its value is 0.
+    """Range of the wavelengths at which a table is known: between its ends, and beyond an end with the value 0.
 
     **Arguments:** `table_nm`, increasing along its last axis; `values` there, None if 0 at an end says nothing.
-    **Returns:** two wavelengths, nm; all of them for a table that is traced.
+    **Returns:** two wavelengths, nm; those of `ALL_WAVELENGTHS` for a table that is traced.
     """
     low, high = ALL_WAVELENGTHS
     nodes, known = concrete(table_nm), concrete(values)
@@ -106,7 +106,7 @@ def as_float_or_none(value):
 
 
 class Ranged(eqx.Module):
-    """A module that refuses concrete values outside the ranges of its fields when it is made: `ValueError`."""
+    """A module that raises a `ValueError` when it is made with concrete values outside the ranges of its fields."""
 
     def __check_init__(self):
         for field in fields(self):

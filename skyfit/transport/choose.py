@@ -1,4 +1,4 @@
-"""The cheapest solver, resolution, geometry, polarisation and set of constituents that keep to an error."""
+"""Choice of the cheapest solver, resolution, geometry, polarisation and set of constituents within an error."""
 
 import functools
 import itertools
@@ -28,7 +28,7 @@ from .work import seconds
 
 Of = Literal["maximum", "median"]
 
-# streams, modes, levels, sweeps, nodes of `OrdersOfScattering`; the first two are `draft` and `normal`
+# Streams, modes, levels, sweeps and nodes of `OrdersOfScattering`; the first two rows are `draft` and `normal`.
 RUNGS = {
     "6 streams": (6, 12, 16, 5, 16),
     "8 streams": (8, 16, 24, 7, 24),
@@ -36,18 +36,19 @@ RUNGS = {
     "12 deep streams": (12, 24, 48, 10, 32),
     "16 streams": (16, 32, 48, 12, 32),
 }
-# flat, 12 streams are at the end of the ladder: within 0.07 % of 16 with 100 levels in 16 scenes
+# Flat rungs end at 12 streams, which are within 0.07 % of 16 with 100 levels in 16 scenes.
 _FLAT_RUNGS = ("6 streams", "8 streams", "12 streams")
-# `OrdersOfScattering.fine`, spherical, by 200 levels in place of 100: largest error and median in 16 scenes
+# Largest and median error of `OrdersOfScattering.fine`, spherical, against 200 levels in place of 100, in 16 scenes.
 _FINE = (1.4e-3, 1e-4)
-# degrees, the lowest sun of the model of errors
+# Zenith angle (degrees) of the lowest sun of the model of errors.
 _LOWEST_SUN = 88.0
-# degrees; largest error and median of `Spherical.normal` by Monte Carlo: experiments/results/space.json
+# Sun zenith angle (degrees), largest and median error of `Spherical.normal` against Monte Carlo:
+# experiments/results/space.json.
 _SPHERICAL = ((89.0, 0.012, 7e-4), (96.0, 0.019, 1e-3), (108.0, 0.043, 4.1e-3))
-# degrees; of `OrdersOfScattering.normal`, spherical, beyond three sigma of Monte Carlo, and the median:
-# experiments/results/accuracy.json. Its layers all see the sun at one angle
+# Sun zenith angle (degrees), largest error beyond three sigma of Monte Carlo and median error of
+# `OrdersOfScattering.normal`, spherical: experiments/results/accuracy.json. All its layers see the sun at one angle.
 _ONE_SUN = ((80.0, 0.004, 0.0027), (85.0, 0.025, 0.0033), (89.0, 0.098, 0.0043))
-# directions times wavelengths that are looked at; directions at least
+# Largest number of directions times wavelengths that are examined; least number of directions.
 _POINTS, _FEWEST = 4096, 32
 
 
@@ -58,12 +59,12 @@ def streams_of(name: str, geometry: Geometry, polarised: bool, spectral_nodes: i
 
 
 class Choice(NamedTuple):
-    """A solver and an atmosphere, and what is to be expected of them.
+    """A solver and an atmosphere, with their expected error and time.
 
     `expected_error`, relative, safe for 98 % of scenes; `seconds` on two cores at 2.5 GHz in float32, compiled, by
-    counted work (`work.seconds`); `reasons`, in words; `met`, whether the error is within the tolerance: where nothing
-    is, the nearest is chosen; `known`, whether the scene is one of those that the error model was fitted to;
-    `tolerance`, what was asked for.
+    counted work (`work.seconds`); `reasons`, in words; `met`, whether the error is within the tolerance (if no solver
+    meets it, the one with the smallest error is chosen); `known`, whether the scene is within the range that the error
+    model was fitted to; `tolerance`, the one that was asked for.
     """
 
     solver: AbstractSolver
@@ -77,7 +78,7 @@ class Choice(NamedTuple):
 
 
 class _Candidate(NamedTuple):
-    """A solver, the simplifications that it is off by, and how long it takes."""
+    """A solver, the effects that make up its error, and the seconds it takes."""
 
     solver: AbstractSolver
     effects: tuple[str, ...]
@@ -85,16 +86,17 @@ class _Candidate(NamedTuple):
 
 
 def choose(atmosphere: Atmosphere, scene: Scene, tolerance: float, *, of: Of = "maximum") -> Choice:
-    """The cheapest way to solve a scene whose error stays under a tolerance, and why.
+    """Choose the cheapest solver and set of constituents for a scene whose error stays under a tolerance; say why.
 
     **Arguments:** `tolerance`, relative, in (0, 1]; `of`: it holds for the "maximum" over the scene's directions above
     the horizon and its wavelengths, or for their "median".
-    **Returns:** a `Choice`. **Errors:** `ValueError` for what is traced, and for a sun or wavelengths that no solver
-    knows.
-    **Valid:** on the host, outside jit. Errors are of the radiance, against
+    **Returns:** a `Choice`. **Errors:** `ValueError` for traced values, and for a sun or wavelengths for which no
+    solver is valid.
+    **Valid:** on the host, outside jit. Errors are those of the radiance, against
     `OrdersOfScattering.fine("spherical", polarised=True)`, which is within 0.5 % of Monte Carlo beyond its noise under
-    suns to 80 degrees; what lower suns add is counted. The model of errors (data/error_model.csv) knows observers on
-    the ground, suns to 88 degrees, 340 to 1000 nm, haze to an optical depth of 1.5 by its moments; `Spherical` beyond.
+    suns to 80 degrees. The error that lower suns add is included. The model of errors (data/error_model.csv) covers
+    observers on the ground, suns to 88 degrees, 340 to 1000 nm and haze to an optical depth of 1.5 by its moments.
+    Aloft and under lower suns the choice is `Spherical`.
     """
     judged = _judge(atmosphere, scene, tolerance, of)
     if judged is None:
@@ -106,11 +108,11 @@ def choose(atmosphere: Atmosphere, scene: Scene, tolerance: float, *, of: Of = "
 
 
 def choose_for_all(skies: Sequence[tuple[Atmosphere, Scene]], tolerance: float, *, of: Of = "maximum") -> Choice:
-    """One solver for several skies with all their constituents: the cheapest that keeps to a tolerance in each.
+    """Choose one solver for several skies with all their constituents: the cheapest within a tolerance in each.
 
     **Arguments:** pairs of atmosphere and scene, one at least; else as `choose`.
-    **Returns:** a `Choice`: its atmosphere and reasons are those of the sky where the solver's error is largest, which
-    is the error to expect; `seconds` for all.
+    **Returns:** a `Choice`. Its atmosphere, reasons and expected error are those of the sky where the solver's error is
+    largest; `seconds` is for all skies.
     """
     found = [_judge(atmosphere, scene, tolerance, of) for atmosphere, scene in skies]
     judged = [each for each in found if each is not None]
@@ -118,7 +120,7 @@ def choose_for_all(skies: Sequence[tuple[Atmosphere, Scene]], tolerance: float, 
         return _dark(*skies[0], tolerance)
     tables = [{_settings(c.solver): i for i, c in enumerate(each.candidates)} for each in judged]
     common = [settings for settings in tables[0] if all(settings in table for table in tables)]
-    # places of the candidates that all have, by sky
+    # Indices of the common candidates, for each sky.
     places = [[table[settings] for settings in common] for table in tables]
     time = np.array([[j.candidates[i].seconds for i in row] for j, row in zip(judged, places, strict=True)]).sum(axis=0)
     off = np.array([[j.off[i] for i in row] for j, row in zip(judged, places, strict=True)])
@@ -130,7 +132,7 @@ def choose_for_all(skies: Sequence[tuple[Atmosphere, Scene]], tolerance: float, 
 
 
 class _Judged(NamedTuple):
-    """A sky, the solvers that know it, and how far each may be off."""
+    """A sky, the solvers that are valid for it, and the error of each."""
 
     atmosphere: Atmosphere
     scene: Scene
@@ -141,7 +143,7 @@ class _Judged(NamedTuple):
 
 
 def _judge(atmosphere: Atmosphere, scene: Scene, tolerance: float, of: Of) -> _Judged | None:
-    """None where all is dark."""
+    """Find the candidates for a sky and their errors; None where all is dark."""
     check_numbers("choose", (atmosphere, scene, tolerance))
     if of not in ("maximum", "median"):
         raise ValueError(f'`of` must be "maximum" or "median", got {of!r}')
@@ -166,7 +168,7 @@ def _dark(atmosphere: Atmosphere, scene: Scene, tolerance: float) -> Choice:
 
 
 def _cheapest(time: list[float], off: list[float], tolerance: float) -> tuple[int, bool]:
-    """The place of the cheapest of those that are allowed, or of the nearest where none is; whether one is."""
+    """Index of the cheapest within tolerance, or of the smallest error where there is none; whether there is one."""
     allowed = [i for i, error in enumerate(off) if error <= tolerance]
     return (min(allowed, key=lambda i: time[i]), True) if allowed else (int(np.argmin(off)), False)
 
@@ -185,7 +187,7 @@ def _told(
     left: tuple[int, ...] = (),
     said: Sequence[str] = (),
 ) -> Choice:
-    """The choice of a candidate, and why; `kept`, the atmosphere without what is `left` out, of which is `said`."""
+    """Make the `Choice` of a candidate, with reasons; `kept` lacks the constituents `left` out, as `said` in words."""
     errors, scene = judged.errors, judged.scene
     reasons = [f"{of} over {scene.view.zenith.shape[0]} directions and {scene.wavelength_nm.shape[0]} wavelengths"]
     reasons += [*_of_solver(chosen, judged.candidates, errors, judged.sun, scene), *said]
@@ -200,13 +202,13 @@ def _told(
 
 
 def check_numbers(name: str, given) -> None:
-    """A `ValueError` for traced values in what a function of the host was given."""
+    """Raise a `ValueError` for traced values among the arguments of a function of the host."""
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given)):
         raise ValueError(f"`{name}` must be called with numbers, outside of jit, vmap and grad: got traced values")
 
 
 class _Errors:
-    """The errors of one scene by effect, each worked out when it is first asked for."""
+    """The errors of one scene by effect, each computed when it is first asked for."""
 
     def __init__(self, atmosphere: Atmosphere, scene: Scene, views: int, sun: float, of: Of):
         numbers = deciding(atmosphere, scene)
@@ -217,7 +219,7 @@ class _Errors:
         self._known: dict[str | int, np.ndarray] = {}
 
     def __getitem__(self, effect: str | int) -> np.ndarray:
-        """Of an effect by its name, or of leaving out the constituent of a place, `[direction, wavelength]`."""
+        """Error by the effect of a name, or by leaving out the constituent of an index, `[direction, wavelength]`."""
         if effect not in self._known:
             self._known[effect] = self._found(effect)
         return self._known[effect]
@@ -240,11 +242,11 @@ class _Errors:
         return float(self._reduced(self[effect]))
 
     def altogether(self, effects: tuple[str, ...], left: tuple[int, ...] = ()) -> float:
-        """The largest or median of the sum of effects."""
+        """Largest or median value of the sum of effects."""
         return float(self._reduced(sum(self[effect] for effect in (*effects, *left))))
 
     def unknown(self, scene: Scene) -> list[str]:
-        """What of the scene the model of errors was not fitted to."""
+        """Say, in words, what in the scene is beyond the range of the model of errors."""
         found = beyond(with_streams(self._features, self._numbers, 8))
         wavelength = np.asarray(scene.wavelength_nm)
         if wavelength.min() < 0.99 * 340.0 or wavelength.max() > 1.01 * 1000.0:
@@ -258,14 +260,14 @@ class _Errors:
 
 @functools.cache
 def _known() -> tuple[tuple[AbstractSolver, tuple[str, ...], bool], ...]:
-    """The solvers of the ground, what each is off by, and whether it solves few wavelengths of long spectra."""
+    """Solvers for observers on the ground, effects in their errors, whether they solve long spectra at few nodes."""
     found: list[tuple[AbstractSolver, tuple[str, ...], bool]] = []
     geometries: tuple[tuple[Geometry, tuple[str, ...]], ...] = (("flat", ("flat Earth",)), ("spherical", ()))
     for geometry, bent in geometries:
         found.append((SingleScattering.normal(geometry), ("one order", *bent), False))
         found.append((DoubleScattering.normal(geometry), ("two orders", *bent), True))
         for name in RUNGS if geometry == "spherical" else _FLAT_RUNGS:
-            # what the last of the flat ones is off by is in that of the flat Earth
+            # The error by the flat Earth includes that of the last flat rung.
             own = () if bent and name == _FLAT_RUNGS[-1] else (f"{name} flat" if bent else name,)
             for polarised, nodes in itertools.product((False, True), (None, 0)):
                 solver = streams_of(name, geometry, polarised, nodes)
@@ -274,14 +276,14 @@ def _known() -> tuple[tuple[AbstractSolver, tuple[str, ...], bool], ...]:
 
 
 def _candidates(atmosphere: Atmosphere, scene: Scene, sun: float) -> list[_Candidate]:
-    """All that know the sun and the observer."""
+    """All solvers that are valid for the sun and the observer."""
     found: list[tuple[AbstractSolver, tuple[str, ...]]] = [(Spherical.normal(), ("Spherical", "no polarisation"))]
     if scene.height is None and sun <= _LOWEST_SUN:
         long = spectral_nodes(atmosphere, scene, None) is not None
         low = ("one sun",) if sun > _ONE_SUN[0][0] else ()
         for solver, effects, few in _known():
             every = isinstance(solver, OrdersOfScattering) and not few
-            # of a short spectrum every wavelength is solved in any case
+            # For a short spectrum every wavelength is solved in any case.
             if sun <= solver.suns.largest_deg and (long or not every or "fine" in effects):
                 more = () if "one order" in effects else low
                 found.append((solver, (*effects, *more, *("few wavelengths",) * (few and long))))
@@ -289,14 +291,14 @@ def _candidates(atmosphere: Atmosphere, scene: Scene, sun: float) -> list[_Candi
 
 
 def candidates_of(atmosphere: Atmosphere, scene: Scene) -> list[AbstractSolver]:
-    """The solvers that `choose` chooses from for a scene."""
+    """The solvers among which `choose` chooses for a scene."""
     return [c.solver for c in _candidates(atmosphere, scene, float(np.degrees(scene.sun_zenith)))]
 
 
 def _of_solver(
     chosen: _Candidate, candidates: list[_Candidate], errors: _Errors, sun: float, scene: Scene
 ) -> list[str]:
-    """Why this solver, in words."""
+    """Say, in words, why this solver is chosen."""
     used = set(chosen.effects)
     offered = {effect for candidate in candidates for effect in candidate.effects}
     if isinstance(chosen.solver, Spherical):
@@ -310,7 +312,7 @@ def _of_solver(
         ("one order", "more orders"), ("two orders", "all orders"), ("flat Earth", "curved paths"),
         ("no polarisation", "kept"), ("few wavelengths", "every wavelength is solved"),
     ):  # fmt: skip
-        # one order is scalar, and so are two: theirs is in what they leave out
+        # One and two orders are scalar: their errors include the missing polarisation.
         implied = {"two orders": {"one order"}, "no polarisation": {"one order", "two orders"}}.get(effect, set())
         if effect in offered and not implied & used:
             name = "polarisation" if effect == "no polarisation" else effect
@@ -327,7 +329,7 @@ def _of_solver(
 def _without(
     atmosphere: Atmosphere, chosen: _Candidate, errors: _Errors, tolerance: float
 ) -> tuple[Atmosphere, tuple[int, ...], list[str]]:
-    """The atmosphere without what the tolerance has room for, the places of that, and words."""
+    """The atmosphere without the constituents that the tolerance allows to omit, their indices, and words for each."""
     order = sorted(range(len(atmosphere.constituents)), key=errors.of_one)
     left, said = (), []
     for place in order:
@@ -343,7 +345,7 @@ def _without(
 
 
 def _looked_at(scene: Scene) -> tuple[Scene, int] | None:
-    """The scene with as many of its views as stand for all, and how many: its views go on to a power of two.
+    """The scene with representative views, repeated to a power of two, and the number of different ones.
 
     None where no view meets the sky.
     """
@@ -359,7 +361,7 @@ def _looked_at(scene: Scene) -> tuple[Scene, int] | None:
         picked = np.unique(np.linspace(0, up.size - 1, most // 2).round().astype(int))
         some = np.unique(np.concatenate([np.argsort(zenith)[picked], np.argsort(apart)[picked]]))
         zenith, azimuth = zenith[some], azimuth[some]
-    # few counts, so that few programs are compiled
+    # Powers of two, so that few programs are compiled.
     full = np.arange(1 << (zenith.size - 1).bit_length()) % zenith.size
     return eqx.tree_at(lambda s: s.view, scene, Directions(zenith[full], azimuth[full])), zenith.size
 

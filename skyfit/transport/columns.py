@@ -14,16 +14,16 @@ from ..numerics import gauss_legendre, hat_weights, polynomial, safe_sqrt
 from .contract import Geometry
 
 
-# m, mean radius of the Earth
+# Mean radius of the Earth, m.
 EARTH_RADIUS = 6371e3
-# m, where the air ends for what is scattered; 4e-6 of a column of 8 km lie above
+# Height (m) above which nothing scatters; 4e-6 of a column with scale height 8 km lie above.
 TOP_OF_AIR = 100e3
-# a flat atmosphere has no horizon: cosines below this are taken as this
+# Least cosine of a zenith angle in flat geometry, which has no horizon; smaller ones are taken as this.
 MIN_COSINE = 1e-4
 _COLUMN_NODES = 16
-# multiply-adds of a column along a curved ray: two polynomials, of degrees 10 and 6
+# Multiply-adds of a column along a curved ray: two polynomials, of degrees 10 and 6.
 COLUMN_TERMS = 17
-# points a layer in which density changes exponentially
+# Quadrature points per layer in which density changes exponentially.
 _LAYER_NODES = 3
 
 
@@ -53,7 +53,7 @@ def graded_nodes(length: Float[Array, "*shape"], count: int) -> tuple[Float[Arra
 
 
 def height_gain(radius, cosine, distance):
-    r"""Height gained along a ray, $\sqrt{r^2 + 2 r s \mu + s^2} - r$ without cancellation, m."""
+    r"""Height (m) gained along a ray, $\sqrt{r^2 + 2 r s \mu + s^2} - r$ without cancellation."""
     square = distance * (2.0 * radius * cosine + distance)
     return square / (jnp.sqrt(radius**2 + square) + radius)
 
@@ -65,8 +65,8 @@ def length_scale(radius, cosine, height):
     return square / (jnp.sqrt(start**2 + square) + start)
 
 
-# `_grazing`'s integrals times (1 + 0.4 x), polynomials in (1 - 0.4 x) / (1 + 0.4 x): least squares of the relative
-# error to scipy's erfcx and to quadrature; 7e-9 and 9e-5 at most
+# Coefficients of `_grazing`'s integrals times (1 + 0.4 x), as polynomials in (1 - 0.4 x) / (1 + 0.4 x): least squares
+# of the relative error to scipy's erfcx and to quadrature, at most 7e-9 and 9e-5.
 _ERFCX = (
     0.747289102, 0.570483355, 0.321816899, 0.121412843, 0.0201053542, -0.00594391372,
     -0.00340407857, 0.000294040855, 0.000470715353, -1.94051036e-05, -5.10730367e-05,
@@ -78,9 +78,10 @@ _CURVATURE = (
 
 
 def _grazing(x):
-    r"""$E = \int_a^\infty e^{a-b} b^{-1/2} db = \sqrt\pi\, erfcx(x)$, with $a = x^2$, and what curvature adds to it.
+    r"""$E = \int_a^\infty e^{a-b} b^{-1/2} db = \sqrt\pi\, erfcx(x)$, with $a = x^2$, and J, its curvature correction.
 
-    $J = \frac34 (x + \frac E2) - \frac a2 E - \frac{a^2}{4} (\frac 2x - 2E)$ cancels for large x: both by polynomials.
+    $J = \frac34 (x + \frac E2) - \frac a2 E - \frac{a^2}{4} (\frac 2x - 2E)$ cancels for large x, so that polynomials
+    give both.
     """
     near = 1.0 / (1.0 + 0.4 * x)
     place = 2.0 * near - 1.0
@@ -89,7 +90,7 @@ def _grazing(x):
 
 
 def chapman_column(scale_height, height, cosine):
-    r"""The column of $e^{-h/H}/H$ along a ray that climbs through a sphere, in closed form.
+    r"""Column of $e^{-h/H}/H$ along a ray that climbs through a sphere, in closed form.
 
     $e^{-h/H} \sqrt{X/2}\, (E(x) + J(x) / X)$ with $X = (R + h) / H$, $x = \mu \sqrt{X/2}$: the first two terms of
     Chapman's integral in 1/X.
@@ -130,14 +131,14 @@ def levels_column(profile: Levels, height, cosine):
     mean = jnp.zeros_like(climb[..., 1:])
     for fraction, share in zip(x.tolist(), weight.tolist(), strict=True):
         distance = length[..., :-1] + fraction * jnp.diff(length, axis=-1)
-        # a layer below the ray's start has no length, and must not run away either
+        # A layer below the ray's start has no length, and its density must not run away.
         past = jnp.clip((height_gain(radius, cosine, distance) - climb[..., :-1]) / thickness, 0.0, 1.0)
         mean = mean + share * jnp.exp(low + past * change)
     return jnp.sum(mean * jnp.diff(length, axis=-1), axis=-1)
 
 
 def outward_column(profile: AbstractProfile, height, cosine, geometry: Geometry):
-    """As `slant_column` for a ray that climbs: valid for `cosine` >= 0 only, at half its cost."""
+    """As `slant_column`, for a ray that climbs: valid for `cosine` >= 0 only, at half the cost."""
     if geometry == "flat":
         return profile.column_above(height) / jnp.maximum(cosine, MIN_COSINE)
     leaves, tree = jax.tree.flatten(profile)
@@ -148,7 +149,7 @@ def outward_column(profile: AbstractProfile, height, cosine, geometry: Geometry)
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _column_of(tree, height, cosine, *leaves):
-    """The column of a profile of numbers: each derivative is formed once, however many tangents there are."""
+    """Column of a profile of scalars; each derivative is computed once, however many tangents there are."""
     return _spherical_column(jax.tree.unflatten(tree, leaves), height, cosine)
 
 
@@ -178,7 +179,7 @@ def _spherical_column(profile: AbstractProfile, height, cosine):
     if isinstance(profile, Levels):
         return levels_column(profile, height, cosine)
     if isinstance(profile, OzoneLayer):
-        # it begins and ends: to where 1e-5 of it are left, without a tail
+        # The layer is bounded: integrate without a tail, to the height above which 1e-5 of it are left.
         nodes, weights = gauss_legendre(_COLUMN_NODES)
         climb = profile.height + 12.0 * profile.thickness
     else:
@@ -198,17 +199,17 @@ def slant_column(
     cosine: Float[Array, "*shape"],
     geometry: Geometry,
 ) -> Float[Array, "*shape"]:
-    r"""The column along a ray from `height` to space, in units of the vertical column from the ground.
+    r"""Column along a ray from `height` to space, in units of the vertical column from the ground.
 
     Flat: $F(h) / \mu$. Spherical: $\int \rho(h(s))\, ds$; a ray that first descends passes its tangent point.
 
-    **Arguments:** `height` (m, >= 0) and `cosine` of the zenith angle there, one shape.
+    **Arguments:** `height` (m, >= 0) and `cosine` of the zenith angle there, of the same shape.
     **Returns:** dimensionless, the airmass times the share of the column above.
     **Valid:** every cosine; flat: cosines below 1e-4 are taken as 1e-4; spherical: a ray that would enter the
-    ground is continued with its tangent point on the ground (`sunlit` says which do).
-    Exponential profiles within 1e-5, layers exactly, tables of levels within 1e-6 where density changes by a factor e
-    at most in a layer (3e-5: e^2), ozone of 20 +- 5 km within 2e-4 at the horizon and 4e-5 above it, others by as many
-    nodes on an exponential scale.
+    ground is continued with its tangent point on the ground (`sunlit` tells which do).
+    Exponential profiles are within 1e-5, layers exact, tables of levels within 1e-6 where density changes by at most a
+    factor e in a layer (3e-5 for e^2). Ozone of 20 +- 5 km is within 2e-4 at the horizon and 4e-5 above it. Other
+    profiles use as many nodes on an exponential scale.
     **Source:** `chapman_column`; quadrature: Klassen 1987, eq. 27, 28 with the exact change of variable (his l(r)
     is linear in r).
     """
@@ -225,7 +226,7 @@ def slant_columns(
     if geometry == "flat":
         return outward_columns(profiles, height, cosine, geometry)
     lowest = jnp.maximum(tangent_height(height, cosine), 0.0)
-    # from here and from the lowest point: one program for both
+    # Columns from here and from the lowest point in one call, so that one program is compiled.
     ends = jnp.stack([height, lowest]), jnp.stack([jnp.abs(cosine), jnp.zeros_like(cosine)])
     both = outward_columns(profiles, *ends, geometry)
     outward, through = both[:, 0], 2.0 * both[:, 1] - both[:, 0]
@@ -235,7 +236,7 @@ def slant_columns(
 def outward_columns(
     profiles: Sequence[AbstractProfile], height, cosine, geometry: Geometry
 ) -> Float[Array, "constituent ..."]:
-    """`outward_column` of several profiles: one program for all that are of a kind."""
+    """`outward_column` of several profiles: one program for all profiles of the same kind."""
     if not profiles:
         return jnp.zeros((0, *height.shape), height.dtype)
     kinds: dict = {}
@@ -250,7 +251,7 @@ def outward_columns(
 
 
 def tangent_height(height, cosine):
-    """Height of the point of a ray's line that is nearest to the Earth's centre, m, negative inside."""
+    """Height (m) of the point of a ray's line that is nearest to the Earth's centre, negative inside the Earth."""
     sine = safe_sqrt(1.0 - cosine**2)
     return height - (EARTH_RADIUS + height) * cosine**2 / (1.0 + sine)
 
@@ -269,7 +270,7 @@ def layer_airmass(
     upper, lower = height[:-1, None], height[1:, None]
 
     def from_tangent(level):
-        # distance from the point nearest to the Earth's centre; r sin(zenith) stays along the ray
+        # Distance from the point nearest to the Earth's centre; r sin(zenith) is constant along the ray.
         square = (EARTH_RADIUS * cosine[None]) ** 2 + level * (2.0 * EARTH_RADIUS + level)
         return jnp.sqrt(jnp.maximum(square, 1.0))
 
@@ -277,11 +278,11 @@ def layer_airmass(
 
 
 class StreamPath(NamedTuple):
-    """How streams of fixed local zenith angle cross the layers one way.
+    """Paths of streams of fixed local zenith angle through the layers in one direction.
 
-    `airmass` `[layer, stream]`, length in a layer over its thickness; `turn` `[layer, stream, stream]`, weights
-    that interpolate the radiance where a ray enters the layer, at another local angle than it leaves it with;
-    None where the angle stays.
+    `airmass` `[layer, stream]`, length in a layer over its thickness; `turn` `[layer, stream, stream]`, weights that
+    interpolate the radiance where a ray enters the layer, since its local angle there differs from the one where it
+    leaves; None where the angle is constant.
     """
 
     airmass: Float[Array, "layer stream"]
@@ -293,8 +294,9 @@ def stream_paths(
 ) -> tuple[StreamPath, StreamPath]:
     r"""Paths of downward and of upward streams through the layers between levels.
 
-    A straight ray keeps $r \sin\theta$: it comes down into a layer steeper than it leaves it, and goes up the
-    other way round. An upward ray that would have come from under the layer's tangent point enters horizontally.
+    A straight ray keeps $r \sin\theta$. Downward it is steeper where it enters a layer than where it leaves; upward it
+    is steeper where it leaves. An upward ray that would have come from under the layer's tangent point enters
+    horizontally.
 
     **Arguments:** `height` of the levels, top to ground (m); `cosine` of the streams where they leave a layer,
     increasing. **Returns:** down, up. **Source:** geometry; Klassen 1987, eq. 20 with the local elevation.
@@ -306,13 +308,13 @@ def stream_paths(
     upper, lower = EARTH_RADIUS + height[:-1, None], EARTH_RADIUS + height[1:, None]
     thickness = upper - lower
     rise = thickness * (upper + lower)
-    # distances from the point of the ray's line that is nearest to the Earth's centre
+    # Distances from the point of the ray's line that is nearest to the Earth's centre.
     at_lower, at_upper = lower * cosine[None], upper * cosine[None]
     above = jnp.sqrt(at_lower**2 + rise)
     below = safe_sqrt(at_upper**2 - rise)
 
     def turn(entering):
-        # radiance times cosine is linear in the cosine for thin and for thick layers alike
+        # Radiance times cosine is linear in the cosine for thin and for thick layers.
         inside = jnp.clip(entering, cosine[0], cosine[-1])
         return hat_weights(inside, cosine) * cosine[None, None] / inside[:, :, None]
 

@@ -1,4 +1,4 @@
-"""What every transport solver answers, and the optics of an atmosphere as solvers use them."""
+"""The interface of every transport solver, its results and its checks."""
 
 import functools
 import warnings
@@ -17,27 +17,27 @@ from ..scene import Scene
 
 
 Geometry = Literal["flat", "spherical"]
-# relative model errors by comparison with other solvers: of polarised skies, and of skies without polarisation
+# Relative model errors of polarised skies and of skies without polarisation, by comparison with other solvers.
 POLARISED_ERROR, SCALAR_ERROR = 0.003, 0.007
 _LAST_DEG = 5.0
-# rad, that a view may be below the level and yet be called level
+# Angle (rad) below the horizon up to which a view still counts as level.
 _LEVEL = 1e-4
 _Method = TypeVar("_Method", bound=Callable)
 
 
 class LowSunWarning(UserWarning):
-    """The sun stands in the last five degrees of what a solver knows; the message says how far its sky may be off."""
+    """The sun is in the last five degrees of a solver's valid range; the message says how far its sky may be off."""
 
 
 class ThickAirWarning(UserWarning):
-    """What a solver leaves out of the orders of scattering may be more than three hundredths of the light."""
+    """The orders of scattering that a solver leaves out may be more than three hundredths of the light."""
 
 
 class Suns(NamedTuple):
-    """The suns whose skies a solver knows, and how well the last of them.
+    """The suns for which a solver is valid, and its error for the lowest of them.
 
     `largest_deg`, the largest zenith angle, degrees; `error`, the relative error to expect in the last five degrees,
-    None where it is no other than elsewhere.
+    None where it is the same as elsewhere.
     """
 
     largest_deg: float
@@ -45,9 +45,9 @@ class Suns(NamedTuple):
 
 
 class Observers(NamedTuple):
-    """The observers whose skies a solver knows: to `highest_m` above the ground, m; 0 is none but those on it.
+    """The observers for which a solver is valid: up to `highest_m` above the ground, m; 0: on the ground only.
 
-    Above the ground views may go down too.
+    Observers above the ground may also look down.
     """
 
     highest_m: float
@@ -55,16 +55,16 @@ class Observers(NamedTuple):
 
 ALL_SUNS = Suns(180.0)
 ON_GROUND, GROUND_TO_SPACE = Observers(0.0), Observers(np.inf)
-# the largest errors of 95 % of views to 85 degrees, by backward Monte Carlo on a sphere, OrdersOfScattering.normal in
-# air of optical depth 0.05 to 0.5 and haze to 0.3: flat under a sun at 85 degrees (median to 0.12), spherical under
-# one at 89 (median to 0.03)
+# Errors of OrdersOfScattering.normal that 95 % of views to 85 degrees stay under, by backward Monte Carlo on a sphere,
+# in air of optical depth 0.05 to 0.5 and haze to 0.3: flat with the sun at 85 degrees (median to 0.12), spherical with
+# the sun at 89 (median to 0.03).
 FLAT_SUNS, SPHERICAL_SUNS = Suns(85.0, 0.2), Suns(90.0, 0.1)
 
 
 class Irradiances(NamedTuple):
     """Irradiance on the horizontal ground, W m^-2 nm^-1, `[wavelength]` each.
 
-    `up_at_top`, what leaves the top of the atmosphere, None where the tier does not know it.
+    `up_at_top` is the flux that leaves the top of the atmosphere, None for solvers that do not compute it.
     """
 
     direct: Float[Array, " wavelength"]
@@ -76,9 +76,10 @@ class Irradiances(NamedTuple):
 class Stokes(NamedTuple):
     r"""Linearly polarised skylight, W m^-2 sr^-1 nm^-1, `[direction, wavelength]` each.
 
-    `radiance` I; `q` is positive where light swings in the vertical plane through the view, `u` where it swings at 45
-    degrees to it, from up toward smaller azimuths: to the left. V is neglected: air makes none, and what haze makes of
-    light that air has polarised is at most some thousandths of I (its effect on I about 1e-5).
+    `radiance` is I. `q` is positive where light swings in the vertical plane through the view. `u` is positive where it
+    swings at 45 degrees to that plane, turned from up toward smaller azimuths: to the left. V is neglected. Air makes
+    none, and haze turns light that air has polarised into at most some thousandths of I (its effect on I is about
+    1e-5).
     """
 
     radiance: Float[Array, "direction wavelength"]
@@ -95,15 +96,15 @@ class Stokes(NamedTuple):
 
     @property
     def angle(self) -> Float[Array, "direction wavelength"]:
-        """The angle of polarisation from up to the left, in (-pi/2, pi/2], rad; 0 where nothing is polarised."""
+        """The angle of polarisation from up to the left, in (-pi/2, pi/2], rad; 0 where light is unpolarised."""
         some = self.q**2 + self.u**2 > 0.0
         return 0.5 * jnp.arctan2(jnp.where(some, self.u, 0.0), jnp.where(some, self.q, 1.0))
 
 
 class Path(NamedTuple):
-    """What the air between the eye and objects does to their light, `[direction, wavelength]` each.
+    """Effect of the air between the eye and objects on their light, `[direction, wavelength]` each.
 
-    `transmittance`, dimensionless, in [0, 1]; `inscatter`, W m^-2 sr^-1 nm^-1. Of a picture, by `air_to`, both are
+    `transmittance`, dimensionless, in [0, 1]; `inscatter`, W m^-2 sr^-1 nm^-1. For a picture, from `air_to`, both are
     `[row, column, channel]`.
     """
 
@@ -111,7 +112,7 @@ class Path(NamedTuple):
     inscatter: Float[Array, "*direction wavelength"]
 
     def over(self, background: Float[Array, "*direction wavelength"]) -> Float[Array, "*direction wavelength"]:
-        r"""Objects seen through the air, $F_{ex} L_0 + L_{in}$ (Hoffman & Preetham 2002, eq. 1).
+        r"""Radiance of objects seen through the air, $F_{ex} L_0 + L_{in}$ (Hoffman & Preetham 2002, eq. 1).
 
         **Arguments:** `background` $L_0$, the objects' own radiance. **Returns:** the unit of `background`.
         """
@@ -119,35 +120,35 @@ class Path(NamedTuple):
 
 
 class AbstractSolver(Ranged):
-    """A way to solve the transfer of sunlight to an observer; holds only its resolution and its geometry.
+    """A method that solves the transfer of sunlight to an observer; it holds only its resolution and its geometry.
 
-    A tier that can also answers `path(atmosphere, scene, distance)`, a `Path` to objects at `distance`
-    `[direction]`, m, along the scene's views.
+    Some solvers also have `path(atmosphere, scene, distance)`, a `Path` to objects at `distance` `[direction]`, m,
+    along the scene's views.
     """
 
     geometry: eqx.AbstractVar[Geometry]
-    # whether skies after sunset are near enough to the sky's own to be inverted
+    # Whether the solver's skies after sunset are accurate enough to invert measurements.
     after_sunset: ClassVar[bool] = False
-    # whether the air is as dense at any height, so that a path is the same from anywhere
+    # Whether the density of the air is the same at all heights, so that a path does not depend on the eye's height.
     even_air: ClassVar[bool] = False
 
     @property
     @abstractmethod
     def suns(self) -> Suns:
-        """The suns that the solver knows in its geometry; `checked` calls refuse and flag by it."""
+        """The suns for which the solver is valid in its geometry; `checked` calls raise or warn by it."""
 
     @property
     @abstractmethod
     def observers(self) -> Observers:
-        """The observers whose radiance the solver knows in its geometry; others are refused by `check_observer`."""
+        """The observers for which the solver is valid in its geometry; `check_observer` refuses others."""
 
     @property
     @abstractmethod
     def model_error(self) -> float:
-        """The relative size of each of the smooth errors that a retrieval allows this solver (`error_shapes`)."""
+        """The relative size of each smooth error that a retrieval assumes for this solver (`error_shapes`)."""
 
     def doubt(self, atmosphere: Atmosphere) -> str | None:
-        """What of an atmosphere the solver is further off for than it states, in words; None if nothing is."""
+        """Say, in words, why the solver's error in an atmosphere exceeds the stated one; None where it does not."""
         return None
 
     def suited(
@@ -155,12 +156,12 @@ class AbstractSolver(Ranged):
         atmosphere: Atmosphere,
         wavelength_nm: Float[Array, " wavelength"],
     ) -> "AbstractSolver":
-        """The solver with as much of what costs time as the atmosphere asks for, where that is not traced."""
+        """The solver with the resolution that an atmosphere needs, where its values are not traced."""
         return self
 
     @abstractmethod
     def coarser(self) -> "AbstractSolver":
-        """The solver of the slopes of a retrieval, some per cent off; itself where it is cheap."""
+        """The solver for the Jacobian of a retrieval, some per cent off; this solver itself where it is cheap."""
 
     @abstractmethod
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
@@ -172,16 +173,16 @@ class AbstractSolver(Ranged):
 
 
 def checked(method: _Method) -> _Method:
-    """A public call of a solver as one program, which refuses and flags first what can be seen.
+    """Compile a public method of a solver into one program that is called after checks of its untraced arguments.
 
-    `check_scene`, and of all but paths `check_observer`.
+    The checks are `check_scene` and, except for paths, `check_observer`.
     """
     program = eqx.filter_jit(method)
 
     @functools.wraps(method)
     def call(solver, atmosphere, scene, distance=None):
         check_scene(solver, atmosphere, scene)
-        # a path may begin elsewhere
+        # A path may begin at heights whose sky the solver does not know.
         if distance is None:
             check_observer(solver, scene)
         elif not solver.even_air:
@@ -193,9 +194,9 @@ def checked(method: _Method) -> _Method:
 
 
 def check_scene(solver: AbstractSolver, atmosphere: Atmosphere, scene: Scene) -> None:
-    """A `ValueError` for a sun or wavelengths beyond what solver and atmosphere know, a `LowSunWarning` for a low sun.
+    """Raise a `ValueError` for a sun or wavelengths that solver or atmosphere do not know; warn of a low sun.
 
-    What is traced passes unseen.
+    The warning is a `LowSunWarning`. Traced values are not checked.
     """
     atmosphere.check_wavelengths(scene.wavelength_nm)
     lowest = solver.suns.largest_deg
@@ -207,12 +208,12 @@ def check_scene(solver: AbstractSolver, atmosphere: Atmosphere, scene: Scene) ->
 
 
 def low_sun(solver: AbstractSolver, sun_zenith) -> str | None:
-    """What to expect of a solver under the lowest of some suns, radians, in words; None where it is as good as ever."""
+    """Say, in words, how far a solver may be off under the lowest of some suns, rad; None if no more than elsewhere."""
     suns, zenith = solver.suns, concrete(sun_zenith)
     if suns.error is None or zenith is None or not zenith.size:
         return None
     sun = float(np.degrees(zenith.max()))
-    # to what float32 tells apart
+    # Within the resolution of float32.
     if not suns.largest_deg - _LAST_DEG + 1e-4 < sun <= suns.largest_deg + 1e-4:
         return None
     return (
@@ -222,7 +223,7 @@ def low_sun(solver: AbstractSolver, sun_zenith) -> str | None:
 
 
 def check_observer(solver: AbstractSolver, scene: Scene) -> None:
-    """A `ValueError` for an observer that the solver does not know."""
+    """Raise a `ValueError` for an observer for whom the solver is not valid."""
     name = f"{type(solver).__name__} in {solver.geometry} geometry"
     if solver.observers == ON_GROUND:
         check_on_ground(scene, name)
@@ -230,13 +231,13 @@ def check_observer(solver: AbstractSolver, scene: Scene) -> None:
 
 
 def check_on_ground(scene: Scene, solver: str) -> None:
-    """A `ValueError` where the scene has an observer above the ground, for a solver that knows none."""
+    """Raise a `ValueError` if the scene gives its observer a height, for a solver valid on the ground only."""
     if scene.height is not None:
         raise ValueError(f"`height` of the scene must be None for {solver}: it knows the observer on the ground only")
 
 
 def check_eye(scene: Scene) -> None:
-    """A `ValueError` for a path down to the ground from no height, whose length is 0; traced views pass unseen."""
+    """Raise a `ValueError` for a downward path from the ground, whose length is 0; traced views are not checked."""
     zenith = concrete(scene.view.zenith)
     if scene.height is None and zenith is not None and np.any(zenith > np.pi / 2 + _LEVEL):
         raise ValueError(
@@ -246,6 +247,6 @@ def check_eye(scene: Scene) -> None:
 
 
 def check_geometry(geometry: str) -> None:
-    """A `ValueError` unless the geometry is known."""
+    """Raise a `ValueError` unless the geometry is known."""
     if geometry not in ("flat", "spherical"):
         raise ValueError(f'`geometry` must be "flat" or "spherical", got {geometry!r}')

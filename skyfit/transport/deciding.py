@@ -1,4 +1,4 @@
-"""What decides how far a simplification of a sky is off: a few numbers of each direction and wavelength."""
+"""A few numbers of each direction and wavelength that decide the error of a simplified sky."""
 
 from typing import NamedTuple
 
@@ -14,20 +14,20 @@ from .contract import Geometry
 from .optics import optics
 
 
-# streams a hemisphere, beyond whose moments `forward` looks
+# Streams per hemisphere; `forward` is the moment beyond those that they carry.
 STREAMS = (6, 8, 12, 16)
-# rad, the angle from the sun within which `nearness` grows no more; m, under which an absorber lies in the way of views
+# Angle from the sun (rad) within which `nearness` is constant; height (m) below which an absorber attenuates views.
 _AUREOLE, _LOW = 0.02, 8000.0
 _LEAST, _APART = 1e-12, 1e-4
 
 
 class Deciding(NamedTuple):
-    """Numbers of one scene, dimensionless.
+    """Numbers of one scene that decide errors, dimensionless.
 
-    `depth`, optical depth of scattering straight up; `view_airmass` and `sun_airmass`, of what scatters, on a sphere;
-    `albedo` of the ground; `haze`, the share of the scattering that has a forward peak; `forward`, the scattering's
-    moment beyond `STREAMS`; `nearness` to the sun, the inverse of the angle in rad; `bent`, how far a flat Earth
-    changes light that is scattered once, relative; `without`, the same of leaving out each constituent.
+    `depth`, vertical optical depth of scattering; `view_airmass` and `sun_airmass`, those of the scatterers on a
+    sphere; `albedo` of the ground; `haze`, the share of the scattering that has a forward peak; `forward`, the moment
+    of the scattering beyond `STREAMS`; `nearness` to the sun, the inverse of the angle in rad; `bent`, the relative
+    change of singly scattered light by a flat Earth; `without`, its relative change without each constituent.
     """
 
     depth: Float[Array | np.ndarray, "direction wavelength"]
@@ -42,7 +42,7 @@ class Deciding(NamedTuple):
 
 
 class _Once(NamedTuple):
-    """Airmasses of what scatters; light scattered once, of all constituents and without each."""
+    """Airmasses of the scatterers; singly scattered light, of all constituents and without each."""
 
     view_airmass: Float[Array, "direction wavelength"]
     sun_airmass: Float[Array, " wavelength"]
@@ -52,7 +52,7 @@ class _Once(NamedTuple):
 
 @eqx.filter_jit
 def deciding(atmosphere: Atmosphere, scene: Scene) -> Deciding:
-    """The numbers of a scene as it is seen from the ground; views below the horizon count as level."""
+    """Compute the numbers of a scene seen from the ground; views below the horizon count as level."""
     wavelength = scene.wavelength_nm
     half = haversine(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth)
     scattering = optics(atmosphere.constituents, wavelength).scattering
@@ -92,12 +92,12 @@ def deciding(atmosphere: Atmosphere, scene: Scene) -> Deciding:
 def _once(
     atmosphere: Atmosphere, scene: Scene, phase: Float[Array, "constituent direction wavelength"], geometry: Geometry
 ) -> _Once:
-    """Single scattering in closed form: what scatters is mixed throughout, what absorbs lies above or below it."""
+    """Single scattering in closed form: scatterers are mixed throughout, absorbers lie above or below them."""
     constituents = atmosphere.constituents
     profiles = [c.profile for c in constituents]
     depths = optics(constituents, scene.wavelength_nm)
     views, sun = (jnp.maximum(jnp.cos(z), 0.0) for z in (scene.view.zenith, scene.sun_zenith[None]))
-    # one program for views and sun
+    # One call for views and sun, so that one program is compiled.
     airmass = outward_columns(profiles, jnp.zeros(views.shape[0] + 1), jnp.concatenate([views, sun]), geometry)
     along, toward = airmass[:, :-1], airmass[:, -1]
     seen = jnp.stack(

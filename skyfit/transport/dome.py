@@ -19,9 +19,9 @@ def fluxes_by_quadrature(
     sunlight: Float[Array, " wavelength"],
     rings: int = 8,
 ) -> Irradiances:
-    """Irradiance on the ground of a sky that is known by its radiance.
+    """Irradiance on the ground, integrated over the radiance of the sky.
 
-    **Arguments:** `radiance` of a scene, W m^-2 sr^-1 nm^-1; `sunlight` at the ground normal to its beam,
+    **Arguments:** `radiance`, a function of a scene, W m^-2 sr^-1 nm^-1; `sunlight` at the ground normal to its beam,
     W m^-2 nm^-1; `rings` of the quadrature. **Returns:** `Irradiances` of an observer on the ground.
     """
     view, weight = dome(rings, 16)
@@ -32,7 +32,7 @@ def fluxes_by_quadrature(
 
 
 def dome(rings: int, azimuths: int) -> tuple[Directions, np.ndarray]:
-    """A product rule over the sky; weights are solid angle times cosine."""
+    """Product rule of quadrature over the sky; its weights are solid angle times cosine."""
     cosine, weight = gauss_legendre(rings)
     azimuth = 2.0 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
     zenith, azimuth = np.meshgrid(np.arccos(cosine), azimuth, indexing="ij")

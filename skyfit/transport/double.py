@@ -32,17 +32,17 @@ from .views import in_pieces
 
 
 class DoubleScattering(AbstractSolver):
-    r"""Sunlight that is scattered once or twice over a black ground: no third order, no light of the ground.
+    r"""Sunlight that is scattered once or twice over a black ground: no third order, no light from the ground.
 
     $L = L_1 + \int J_2\, e^{-\tau} d\tau$ with
     $J_2(\omega) = \sum_c \omega_c \int p_c(\omega, \omega') L_1(\omega') d\omega'$
 
-    The once-scattered light is exact, its scattering is that of Gauss streams and Fourier modes with the phase
-    function's moments to 2 x `streams` as they are (no delta-M: a truncated peak would count as no scattering).
-    Resolution and `geometry` as in `OrdersOfScattering`. The ground's albedo is ignored.
+    The once-scattered light is exact. Its second scattering is that of Gauss streams and Fourier modes, with the first
+    2 x `streams` moments of the phase function and without delta-M, by which a truncated peak would count as no
+    scattering. Resolution and `geometry` are as in `OrdersOfScattering`. The radiance ignores the ground's albedo.
 
-    **Valid:** as `OrdersOfScattering`; asymmetry parameters to about 0.8. What it leaves out is a tenth of a
-    clear blue sky and more of haze over a bright ground. Polarisation is left out, as in a scalar `OrdersOfScattering`.
+    **Valid:** as `OrdersOfScattering`; asymmetry parameters to about 0.8. The light left out is a tenth of a clear blue
+    sky, and more of haze over a bright ground. Polarisation is left out, as in a scalar `OrdersOfScattering`.
     **Source:** Nishita et al. 1996, Display method of the sky color taking into account multiple scattering;
     Preetham 1999, sec. 3.2: "second order scattering", reflection by the ground neglected.
     """
@@ -114,7 +114,7 @@ class DoubleScattering(AbstractSolver):
             resolution = self._resolution(2)
             scaled = scaled_optics(constituents, scene.wavelength_nm, resolution)
             _, field = diffuse_field(constituents, scene, scaled, black, resolution)
-            # where little comes through thick layers, their slopes may undershoot
+            # The slopes in thick layers may undershoot where little light comes through.
             diffuse = irradiance * jnp.maximum(field.ground_flux, 0.0)
         return Irradiances(direct, diffuse, atmosphere.ground.reflectance(scene.wavelength_nm) * (direct + diffuse))
 

@@ -1,4 +1,4 @@
-"""How far simplifications of a sky are off, by a model that was fitted to skies of the finest solver."""
+"""Errors of simplified skies, by a model that was fitted to skies of the finest solver."""
 
 import numpy as np
 
@@ -7,18 +7,18 @@ from .deciding import Deciding, STREAMS
 
 
 TABLE = "error_model.csv"
-# the rows of the table: what is raised to powers, each without a dimension
+# Rows of the table: dimensionless quantities that are raised to powers.
 FEATURES = (
     "constant", "view airmass", "sun airmass", "low sun", "depth", "depth of haze", "depth along the view",
     "depth of haze along the view", "forward peak", "nearness to the sun", "ground albedo", "bent paths", "left out",
 )  # fmt: skip
-# what the largest of a scene may be before the model is asked for more than it was fitted to
+# Features whose largest value in a scene must stay within the range that the model was fitted to.
 RANGED = ("view airmass", "sun airmass", "depth", "depth of haze", "forward peak", "nearness to the sun")
 _LOW_SUN, _FAR, _SOME_HAZE, _LITTLE, _DARK = 3.0, 2.0, 1e-3, 1e-6, 0.1
 
 
 def shared_features(numbers: Deciding) -> dict[str, np.ndarray]:
-    """The logarithms of those of `FEATURES` that neither streams nor what is left out decides; the others are 0.
+    """Logarithms of those of `FEATURES` that depend neither on streams nor on what is left out; the others are 0.
 
     **Returns:** `[direction, wavelength]` each, with leading axes where `numbers` has them.
     """
@@ -34,21 +34,21 @@ def shared_features(numbers: Deciding) -> dict[str, np.ndarray]:
 
 
 def with_streams(shared: dict[str, np.ndarray], numbers: Deciding, streams: int) -> dict[str, np.ndarray]:
-    """The features of an effect of streams: `forward peak` is what the next of `STREAMS` miss."""
+    """Features for an effect of streams; `forward peak` is the moment that the next of `STREAMS` miss."""
     place = min((i for i, n in enumerate(STREAMS) if n >= streams), default=len(STREAMS) - 1)
     return shared | {"forward peak": np.log(numbers.forward[..., place, :, :] + _LITTLE)}
 
 
 def with_left_out(shared: dict[str, np.ndarray], numbers: Deciding, constituent: int) -> dict[str, np.ndarray]:
-    """The features of leaving out the constituent of a place."""
+    """Features for leaving out the constituent of an index."""
     return shared | {"left out": np.log(numbers.without[..., constituent, :, :] + _LITTLE)}
 
 
 def predicted(effect: str, of: dict[str, np.ndarray], median: bool = False) -> np.ndarray:
-    """The relative error by one effect: a sum over mechanisms, each a product of powers of `FEATURES`.
+    """Relative error by one effect: a sum over mechanisms, each a product of powers of `FEATURES`.
 
-    **Arguments:** `effect`, as the columns of data/error_model.csv have it before their colon; `of`, features;
-    `median`: such that the median of a scene's errors is safe, else their maximum.
+    **Arguments:** `effect`, the name before the colon in the columns of data/error_model.csv; `of`, features; `median`:
+    whether the median of a scene's errors is safe, else their maximum.
     **Returns:** `[direction, wavelength]`, as `of`.
     """
     table = read_table(TABLE)
@@ -61,7 +61,7 @@ def predicted(effect: str, of: dict[str, np.ndarray], median: bool = False) -> n
 
 
 def beyond(of: dict[str, np.ndarray]) -> list[str]:
-    """What of a scene is larger than in all scenes of the model, in words."""
+    """Say, in words, which features of a scene are larger than in all scenes of the model."""
     most = read_table(TABLE)["range:most"]
     found = []
     for key in RANGED:

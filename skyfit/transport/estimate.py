@@ -1,4 +1,4 @@
-"""How far a solver is off for one scene, by a refined solve of a few directions and wavelengths."""
+"""The error of a solver in one scene, estimated by a refined solve of a few directions and wavelengths."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -14,19 +14,18 @@ from .orders.solver import OrdersOfScattering
 from .spherical import Spherical
 
 
-# degrees, suns to which streams refine
+# Largest zenith angle of the sun (degrees) at which streams serve as the refined solver.
 _LOWEST_SUN = 88.0
-# the bound over the largest error found, and what is added for the refined solver's own error: from 128 scenes of the
-# model of errors; of others,
-# experiments/results/choose.json
+# Ratio of the bound to the largest error found, and an addition for the refined solver's own error, from 128 scenes of
+# the model of errors. experiments/results/choose.json has other scenes.
 _FACTOR, _OWN = 2.0, 5e-4
 
 
 class Estimate(NamedTuple):
     """The error of a solver in one scene, relative to the radiance.
 
-    `bound`, above the largest error in about 95 % of scenes; `found`, the largest at the directions and wavelengths
-    that were solved anew; `refined`, by which solver.
+    `bound`, above the largest error in about 95 % of scenes; `found`, the largest error at the directions and
+    wavelengths that were solved again; `refined`, the solver that solved them.
     """
 
     bound: float
@@ -37,16 +36,17 @@ class Estimate(NamedTuple):
 def estimate_error(
     solver: AbstractSolver, atmosphere: Atmosphere, scene: Scene, *, directions: int = 8, wavelengths: int = 3
 ) -> Estimate:
-    """A bound of how far a solver's radiance is off in a scene, polarisation and the Earth's shape included.
+    """Bound the error of a solver's radiance in a scene, including the effects of polarisation and the Earth's shape.
 
-    A refined solve of the lowest views, of those next to the sun and of some between them, at the ends and in the
-    middle of the spectrum (at all wavelengths where a constituent is known at the scene's alone). Its program is
-    compiled once for a number of directions and wavelengths: some ten seconds for streams, minutes for `Spherical`.
+    A refined solver solves the lowest views, those next to the sun and some between them, at the ends and in the middle
+    of the spectrum (at all wavelengths where a constituent is known at the scene's alone). Its program is compiled once
+    for each number of directions and wavelengths: some ten seconds for streams, minutes for `Spherical`.
 
-    **Arguments:** `directions`, `wavelengths`, how many at most, at least 4 and 2. **Returns:** an `Estimate`.
-    **Errors:** `ValueError` for what is traced, and what `solver.radiance` refuses.
-    **Valid:** the bound was calibrated on scenes of the ground under suns to 88 degrees
-    (experiments/validation/choose.py); beyond, and aloft, `Spherical.fine` refines, which leaves out polarisation.
+    **Arguments:** `directions`, `wavelengths`, their largest numbers, at least 4 and 2. **Returns:** an `Estimate`.
+    **Errors:** `ValueError` for traced values, and for what `solver.radiance` refuses.
+    **Valid:** the bound was calibrated on scenes seen from the ground under suns to 88 degrees
+    (experiments/validation/choose.py). Under lower suns and aloft `Spherical.fine` is the refined solver, which leaves
+    out polarisation.
     """
     check_numbers("estimate_error", (atmosphere, scene))
     if directions < 4 or wavelengths < 2:
@@ -72,7 +72,7 @@ def estimate_error(
 
 
 def bound_of(found: np.ndarray, right: np.ndarray) -> tuple[float, float]:
-    """The bound, and the largest relative error of what was found."""
+    """The bound, and the largest relative error of `found` against `right`."""
     lit = right > 0.0
     off = np.abs(found - right)[lit] / right[lit]
     largest = float(off.max()) if off.size else 0.0
@@ -80,7 +80,7 @@ def bound_of(found: np.ndarray, right: np.ndarray) -> tuple[float, float]:
 
 
 def refinement(solver: AbstractSolver, scene: Scene) -> AbstractSolver:
-    """The solver that a scene's answers by another are held against."""
+    """The refined solver against which `solver` is compared in a scene."""
     if scene.height is not None or float(np.degrees(scene.sun_zenith)) > _LOWEST_SUN:
         return Spherical.fine()
     if isinstance(solver, OrdersOfScattering) and solver.streams >= RUNGS["16 streams"][0]:
@@ -91,19 +91,19 @@ def refinement(solver: AbstractSolver, scene: Scene) -> AbstractSolver:
 
 
 def picked(atmosphere: Atmosphere, scene: Scene, directions: int, wavelengths: int) -> tuple[np.ndarray, np.ndarray]:
-    """Places of the directions and of the wavelengths that are solved anew."""
+    """Indices of the directions and of the wavelengths that are solved again."""
     zenith = np.asarray(scene.view.zenith, float)
     seen = np.arange(zenith.size)
     if scene.height is None:
         seen = np.flatnonzero(np.asarray(above_horizon(scene.view.zenith)))
     apart = np.asarray(angle_between(scene.view.zenith, scene.sun_zenith, scene.view.azimuth - scene.sun_azimuth))
     by_zenith, by_sun = seen[np.argsort(zenith[seen])], seen[np.argsort(apart[seen])]
-    # the two lowest, the two next to the sun, the others evenly over the zenith angles
+    # The two lowest views, the two next to the sun, and others evenly distributed over the zenith angles.
     wanted = np.concatenate([by_zenith[-2:], by_sun[:2], by_zenith[_evenly(seen.size, directions - 4)]])
     count = scene.wavelength_nm.shape[0]
     return np.unique(wanted), _evenly(count, wavelengths) if atmosphere.smooth_in_wavelength else np.arange(count)
 
 
 def _evenly(size: int, count: int) -> np.ndarray:
-    """At most so many places, the first and the last among them."""
+    """At most `count` evenly distributed indices, among them the first and the last."""
     return np.unique(np.linspace(0, size - 1, min(count, size)).round().astype(int))

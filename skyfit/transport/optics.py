@@ -19,7 +19,7 @@ class Optics(NamedTuple):
 
 
 def optics(constituents: tuple[AbstractConstituent, ...], wavelength_nm: Float[Array, " wavelength"]) -> Optics:
-    """Extinction and scattering optical depth, one row a constituent; absorbers scatter nothing."""
+    """Extinction and scattering optical depth, one row per constituent; that of scattering is 0 for pure absorbers."""
     if not constituents:
         empty = jnp.zeros((0, *wavelength_nm.shape), wavelength_nm.dtype)
         return Optics(empty, empty)
@@ -34,7 +34,7 @@ def optics(constituents: tuple[AbstractConstituent, ...], wavelength_nm: Float[A
 
 
 def scatterer_indices(constituents: tuple[AbstractConstituent, ...]) -> tuple[int, ...]:
-    """Places of the constituents that scatter."""
+    """Indices of the constituents that scatter."""
     return tuple(i for i, c in enumerate(constituents) if c.phase is not None)
 
 
@@ -55,7 +55,7 @@ def sun_depth(
     extinction: Float[Array, "constituent wavelength"],
     geometry: Geometry,
 ) -> Float[Array, " wavelength"]:
-    """The optical depth from the ground toward the sun; below the horizon, past the tangent point."""
+    """Optical depth from the ground toward the sun; for a sun below the horizon, past the tangent point."""
     cosine = jnp.cos(scene.sun_zenith)
     ground = jnp.zeros_like(cosine)
     if not constituents:

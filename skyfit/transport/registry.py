@@ -1,4 +1,4 @@
-"""The solvers by their short names: the one list that the command line, files and experiments go by."""
+"""The solvers by their short names: the one list that the command line, files and experiments use."""
 
 from .contract import AbstractSolver
 from .double import DoubleScattering

@@ -28,22 +28,22 @@ from .optics import optics, scatterer_indices
 from .views import in_pieces
 
 
-# m^-1: a constituent that is absent at the ground gets a layer of 1000 km, not of infinite thickness
+# Least density (m^-1): a constituent that is absent at the ground gets a layer of 1000 km, not of infinite thickness.
 _MIN_DENSITY = 1e-6
-# m, "infinitely far": a horizontal view of a depth image's sky
+# Distance (m) that stands for infinity, as of the sky in a depth image on a horizontal view.
 _FAR = 1e9
-# what has a smaller cosine is horizontal: such a view meets neither the ground nor the top of a layer
+# Cosine below which a view is horizontal and meets neither the ground nor the top of a layer.
 _LEVEL_COSINE = 1e-7
-# the largest errors of 95 % of views to 85 degrees, by `SingleScattering.fine` on a sphere, haze to 0.3: under a sun at
-# 85 degrees, and at 89.9 (0.4 at 88)
+# Errors that 95 % of views to 85 degrees stay under, against `SingleScattering.fine` on a sphere, haze to 0.3: for a
+# sun at 85 degrees, and at 89.9 (0.4 at 88).
 _FLAT_SUNS, _SPHERICAL_SUNS = Suns(85.0, 0.3), Suns(90.0, 0.8)
 
 
 class ShellLayers(NamedTuple):
     """Homogeneous layers from the ground up, one for each constituent that scatters.
 
-    `top` in m; `extinction` and `scattering` coefficients in m^-1; `level` the tops in ascending order;
-    `present` whether a constituent reaches into the piece under each level.
+    `top` in m; `extinction` and `scattering` coefficients in m^-1; `level`, the tops in ascending order; `present`,
+    whether a constituent reaches into the piece under each level.
     """
 
     top: Float[Array, " constituent"]
@@ -54,7 +54,7 @@ class ShellLayers(NamedTuple):
 
 
 def layers(constituents: tuple[AbstractConstituent, ...], wavelength_nm: Float[Array, " wavelength"]) -> ShellLayers:
-    r"""The layer with a constituent's column and its density at the ground, $R - R_E = \tau / (\tau \rho(0))$.
+    r"""Layers with each constituent's column and its density at the ground, $R - R_E = \tau / (\tau \rho(0))$.
 
     **Arguments:** `constituents` that scatter, one at least. **Returns:** `ShellLayers`.
     **Valid:** profiles whose density at the ground exceeds 1e-6 m^-1; layers aloft do not fit the model.
@@ -66,7 +66,7 @@ def layers(constituents: tuple[AbstractConstituent, ...], wavelength_nm: Float[A
     )
     top = 1.0 / jnp.maximum(density, _MIN_DENSITY)
     extinction, scattering = optics(constituents, wavelength_nm)
-    # by rank, not by height: where two tops are equal the gradient is that of one order, and right
+    # Compare ranks, not heights: where two tops are equal, the gradient is that of one order, and right.
     rank = jnp.argsort(jnp.argsort(top))
     present = rank[None] >= jnp.arange(top.shape[0])[:, None]
     return ShellLayers(top, extinction / top[:, None], scattering / top[:, None], jnp.sort(top), present)
@@ -84,7 +84,7 @@ def sun_transmittance(
     degrees: the ray keeps $r \cos\phi_r$.
     """
     cosine = jnp.cos(scene.sun_zenith)
-    # on a sphere a sun on the horizon shines, whatever the rounding of pi / 2
+    # On a sphere a sun on the horizon shines, whatever the rounding of pi / 2.
     lit = cosine > (-_LEVEL_COSINE if geometry == "spherical" else 0.0)
     cosine = jnp.maximum(cosine, 0.0)
     depth = jnp.zeros_like(scene.wavelength_nm)
@@ -110,12 +110,12 @@ def _sun_path(height, cosine, geometry: Geometry):
 
 
 def shell_integral(air: ShellLayers, scene: Scene, nodes: int) -> Float[Array, "direction constituent wavelength"]:
-    r"""What a unit of scattering of each constituent sends to the ground along each view, m.
+    r"""Light that a unit of scattering coefficient of each constituent sends to the ground along each view, m.
 
     $\int e^{-\sum \beta_c (d_{sun,c}(r) + d_{view,c}(l))} dl$ by Gauss nodes in $l$ on each layer's piece of the view.
 
     **Arguments:** `nodes` for each piece.
-    **Returns:** `[direction, constituent, wavelength]`, without the sun's absorbers.
+    **Returns:** `[direction, constituent, wavelength]`, without attenuation by pure absorbers.
     **Source:** Klassen 1987, eq. 23-26. His eq. 27 and 28 take $l(r)$ linear in $r$ (and print it with a wrong
     dimension), 16 % off at 2 degrees: here $r$ follows from $l$. His eq. 24 and 25 have the sun's elevation of the
     ground at every sphere: here it is the local one, $r \sin\phi_r = R_E \sin\phi + l \cos\psi$, which keeps
@@ -140,13 +140,13 @@ def shell_integral(air: ShellLayers, scene: Scene, nodes: int) -> Float[Array, "
 
 
 def _toward_sun(height, sunward, top, inside):
-    """Distance within a layer toward the sun, m; `sunward` the radius times the sine of the local elevation."""
+    """Distance (m) within a layer toward the sun; `sunward` is the radius times the sine of the local elevation."""
     rise = (top - height) * (2.0 * EARTH_RADIUS + top + height)
-    # 1 m^2 is 0.1 micrometres of height
+    # 1 m^2 corresponds to a height of 0.1 micrometres.
     guarded = jnp.where(inside, jnp.maximum(rise, 1.0), 1.0)
     root = jnp.sqrt(sunward**2 + guarded)
     out = root + jnp.abs(sunward)
-    # a ray from above that first descends may dip into the layer
+    # A ray that starts above the layer and first descends may dip into it.
     dip = jnp.where(sunward < 0.0, 2.0 * safe_sqrt(sunward**2 + rise), 0.0)
     return jnp.where(inside, jnp.where(sunward >= 0.0, guarded / out, out), dip)
 
@@ -154,11 +154,11 @@ def _toward_sun(height, sunward, top, inside):
 def layer_path(
     air: ShellLayers, scene: Scene, distance: Float[Array, " direction"], beam: bool = True
 ) -> tuple[Array, Array]:
-    r"""The closed form through layers of constant density over a flat Earth, for any eye and any view.
+    r"""Integrals in closed form through layers of constant density over a flat Earth, for any eye and any view.
 
-    The exponent is linear in the distance within a layer: each piece gives its length times `exp_mean`.
+    The exponent is linear in the distance within a layer, so each piece gives its length times `exp_mean`.
 
-    **Arguments:** `distance` along each view, m; the eye at `scene.height`; `beam`, whether the light comes down
+    **Arguments:** `distance` along each view, m, from the eye at `scene.height`; `beam`, whether the light comes down
     through the layers (else it is the same everywhere).
     **Returns:** the view's optical depth `[direction, wavelength]` and, as `shell_integral`,
     `[direction, constituent, wavelength]`. **Valid:** distances end at the ground and at 1e9 m.
@@ -176,12 +176,12 @@ def layer_path(
         return jnp.clip((height[None] - eye) / slope[:, None], 0.0, end[:, None])
 
     level, top = crossing(air.level), crossing(air.top)
-    # under the lowest level a view begins at the eye or ends at its end
+    # Under the lowest level a view begins at the eye, or ends at its own end.
     under = jnp.concatenate([jnp.where(rising, 0.0, end)[:, None], level[:, :-1]], axis=1)
     near, far = jnp.where(rising[:, None], under, level), jnp.where(rising[:, None], level, under)
 
     def depth(at):
-        """From the eye to a place along the view and on to the sun, `[direction, place, wavelength]`."""
+        """Optical depth from the eye to a place on the view and on to the sun, `[direction, place, wavelength]`."""
         place = at[..., None]
         seen = jnp.where(rising[:, None, None], jnp.minimum(place, top[:, None]), jnp.maximum(place - top[:, None], 0))
         if not beam:
@@ -199,18 +199,18 @@ class Shells(AbstractSolver):
 
     $L = E_0 \sum_c \beta_c p_c(\psi) \int e^{-\beta_m d_1 - (\beta_m + \beta_p)(d_2 + d_3)} dl$
 
-    Every constituent that scatters is a layer from the ground (`layers`); `geometry` "spherical" is the sky of
-    concentric layers, "flat" the fog, in closed form and with `path`. `nodes`, Gauss nodes for each layer's piece
-    of a view (flat: none). `blue_sky` "scattered": the air (what the atmosphere names `rayleigh`) scatters like the
-    haze. "constant" (spherical): only haze scatters, within its layer, before his constant blue
-    $E_0 (1 - e^{-\tau_m}) \sin\phi / 4\pi$; the sine of the sun's elevation is the scale of brightness taken here,
-    he gives none. `low_sun` (flat): no direct light passes the fog; what it sends to the eye is its opacity times
-    the sunlight above it, isotropic, $E / 4\pi$; the air scatters the beam as ever.
+    Every constituent that scatters is a layer from the ground up (`layers`). `geometry`: "spherical" is the sky of
+    concentric layers; "flat" is the fog, in closed form and with `path`. `nodes`: Gauss nodes for each layer's piece of
+    a view (flat: none). `blue_sky`: with "scattered" the air (the constituent named `rayleigh`) scatters like the haze.
+    With "constant" (spherical) only haze scatters, within its layer, in front of Klassen's constant blue
+    $E_0 (1 - e^{-\tau_m}) \sin\phi / 4\pi$. Klassen gives no scale of brightness; the sine of the sun's elevation is
+    the one taken here. `low_sun` (flat): no direct light passes the fog, which sends to the eye its opacity times the
+    sunlight above it, isotropic, $E / 4\pi$. The air still scatters the beam.
 
-    **Valid:** sun above the horizon, else black; views above it, else 0; slant optical depths of one layer up to
-    40, 150 and over 300 for the presets, within 1 % (beyond, nodes miss the bright near end; flat: any depth). A sun
-    within a degree of the horizon and behind the eye: 5, 0.4 and 0.8 %, where its rays graze a top.
-    Light scattered once: leaving polarisation out costs its radiance nothing.
+    **Valid:** sun above the horizon, else black; views above the horizon, else 0. The presets are within 1 % for slant
+    optical depths of one layer up to 40, 150 and over 300 (beyond, nodes miss the bright near end; flat: any depth).
+    For a sun within a degree of the horizon and behind the eye they are within 5, 0.4 and 0.8 %, where its rays graze a
+    top. Polarisation has no effect on the radiance of light that is scattered once.
     **Source:** Klassen 1987, ACM Trans. Graph. 6, 215; the scattering angle is the one between the two directions
     (his $\theta + \phi$ of eq. 41 holds in the sun's vertical plane only).
     """
@@ -246,7 +246,7 @@ class Shells(AbstractSolver):
 
     @property
     def suns(self) -> Suns:
-        # the light of a low sun reaches the fog through curved air
+        # The light of a low sun reaches the fog through curved air.
         return _SPHERICAL_SUNS if self.geometry == "spherical" or self.low_sun else _FLAT_SUNS
 
     @property
@@ -262,7 +262,7 @@ class Shells(AbstractSolver):
 
     @checked
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
-        """Sky radiance of the layers, W m^-2 sr^-1 nm^-1; the observer on the ground."""
+        """Sky radiance of the layers, W m^-2 sr^-1 nm^-1, for an observer on the ground."""
         return in_pieces(lambda scene: _radiance(self, atmosphere, scene), scene)
 
     @checked
@@ -277,8 +277,8 @@ class Shells(AbstractSolver):
     def path(self, atmosphere: Atmosphere, scene: Scene, distance: Float[Array, " direction"]) -> Path:
         """Fog, haze and air between the eye and objects; `.over(image)` adds them to a finished image.
 
-        **Arguments:** `distance` of the objects along each view, m, infinite for the sky; the eye at
-        `scene.height` in or above the fog, views up, level and down. **Returns:** `Path`.
+        **Arguments:** `distance` of the objects along each view, m, infinite for the sky. The eye, at `scene.height`,
+        may be in or above the fog; views may go up, level and down. **Returns:** `Path`.
         **Valid:** "flat" geometry, else `ValueError`; constituents without a phase function filter the sun only.
         """
         if self.geometry != "flat":
@@ -323,7 +323,7 @@ def _path(solver: Shells, atmosphere: Atmosphere, scene: Scene, distance) -> Pat
         return Path(jnp.exp(-depth), _scattered(integral, air, scatterers, scene) * beam[None])
     by_air = jnp.where(jnp.array(clear)[None, :, None], integral, 0.0)
     inscatter = _scattered(by_air, air, scatterers, scene) * beam[None]
-    # so low a sun is seen through curved air
+    # The light of so low a sun comes through curved air.
     above = jnp.max(jnp.stack([air.top[i] for i in fog]))
     around = scene.solar_irradiance * sun_transmittance(atmosphere.constituents, scene, "spherical", above)
     _, lit = layer_path(air, scene, distance, beam=False)
@@ -353,7 +353,7 @@ def _radiance(solver: Shells, atmosphere: Atmosphere, scene: Scene):
 
 
 def _constant_blue(air: ShellLayers, haze, scene: Scene):
-    """Klassen's blue, the fraction of each wavelength that air scatters, behind the haze (opacity eq. 31)."""
+    """Klassen's blue behind the haze (opacity eq. 31): the fraction of each wavelength that air scatters."""
     cosine = jnp.maximum(jnp.cos(scene.view.zenith), 0.0)
     beneath = jnp.where(haze[None], length_scale(EARTH_RADIUS, cosine[:, None], air.top[None]), 0.0) @ air.extinction
     fraction = -jnp.expm1(-jnp.where(haze, 0.0, air.top) @ air.extinction)

@@ -1,4 +1,4 @@
-"""Single scattering: sunlight that is scattered once on its way to an observer, from the ground to space."""
+"""Single scattering: sunlight that is scattered once on its way to an observer anywhere from the ground to space."""
 
 import equinox as eqx
 import jax
@@ -39,10 +39,10 @@ def single_scattering(
     geometry: Geometry,
     stokes: bool = False,
 ) -> Float[Array, "stokes direction wavelength"]:
-    """Light of the sun that is scattered once, per unit solar irradiance, sr^-1.
+    """Sunlight that is scattered once, per unit solar irradiance, sr^-1.
 
-    **Arguments:** `depth`, what attenuates (a delta-M solver passes its scaled extinction) and what scatters
-    (unscaled); `nodes`, points per view; `stokes`: I, Q and U instead of the radiance alone.
+    **Arguments:** `depth`, optical depths of extinction (a delta-M solver passes its scaled extinction) and of
+    scattering (unscaled); `nodes`, points per view; `stokes`: I, Q and U instead of the radiance alone.
     """
     return single_scattering_of(constituents, scene, depth, nodes, geometry, views_of(scene, geometry), stokes)
 
@@ -92,12 +92,12 @@ def lit_integrals(
 
 
 def _turned_planes(scene: Scene):
-    """Cosine and sine of twice the angle from the vertical plane of each view to that of scattering."""
+    """Cosine and sine of twice the angle from the vertical plane of each view to the plane of scattering."""
     zenith, turn = scene.view.zenith, scene.view.azimuth - scene.sun_azimuth
     up = jnp.sin(scene.sun_zenith) * jnp.cos(zenith) * jnp.cos(turn) - jnp.cos(scene.sun_zenith) * jnp.sin(zenith)
     aside = -jnp.sin(scene.sun_zenith) * jnp.sin(turn)
     square = up**2 + aside**2
-    # toward the sun there is no plane, and no polarisation
+    # Toward the sun there is no plane of scattering and no polarisation.
     safe = jnp.where(square > 0.0, square, 1.0)
     return (up**2 - aside**2) / safe, 2.0 * up * aside / safe
 
@@ -108,15 +108,15 @@ def _dimmed(
     column: Float[Array, "direction node constituent"],
     extinction: Float[Array, "constituent wavelength"],
 ) -> Float[Array, "direction scatterer wavelength"]:
-    """Sums over each view of what its points send out and the columns let through.
+    """Sum over each view of the light that its points emit, attenuated by the columns.
 
-    Its tangents are contracted before they meet the wavelengths: no tangent of a transmittance is formed.
+    Its tangents are contracted before they meet the wavelengths, so that no tangent of a transmittance is computed.
     """
     return source @ jnp.exp(-(column @ extinction))
 
 
 def _dimmed_tangent(primals, tangents):
-    # kept apart, or the compiler works out the columns anew for each tangent
+    # Without the barrier the compiler computes the columns again for each tangent.
     source, column, extinction = jax.lax.optimization_barrier(primals)
     source_dot, column_dot, extinction_dot = tangents
     transmittance = jnp.exp(-(column @ extinction))
@@ -127,7 +127,7 @@ def _dimmed_tangent(primals, tangents):
 
     value = source @ transmittance
     tangent = jnp.zeros_like(value)
-    # what does not move costs nothing
+    # Zero tangents cost nothing.
     if not isinstance(source_dot, SymbolicZero):
         tangent += source_dot @ transmittance
     if not isinstance(extinction_dot, SymbolicZero):
@@ -151,14 +151,14 @@ class SingleScattering(AbstractSolver):
 
     $L = E_0 \sum_c p_c(\gamma)\,\beta_c \int \rho_c(h(s))\, e^{-\tau(s) - \tau_\odot(s)}\, ds$
 
-    `nodes` quadrature points per part of a view; `geometry` "flat" or "spherical" (straight rays through
-    spherical shells for view and sun, the Earth's shadow as an end of the parts). The observer may stand
-    anywhere from the ground to space; a view down ends at the ground and holds the light scattered above it.
-    No light of the ground, no second scattering.
+    `nodes`: quadrature points per part of a view. `geometry`: "flat" or "spherical" (straight rays through spherical
+    shells for view and sun; parts end at the Earth's shadow). The observer may stand anywhere from the ground to space.
+    A view down ends at the ground and contains the light scattered above it. Light reflected by the ground and second
+    scattering are left out.
     **Valid:** any sun; flat: above the horizon (below it the sky is black). `normal` is within 1e-5 of the integral at
-    optical depths to 0.5, 2e-4 at 1 and 1e-3 at 5, twilight included; views are cut at the edges of `Layered`
-    scatterers: 1e-5 by day, 1e-2 in twilight. In spherical geometry the air above 100 km scatters nothing: 4e-6 of it.
-    Polarisation changes nothing of the radiance of light scattered once.
+    optical depths to 0.5, 2e-4 at 1 and 1e-3 at 5, twilight included. Views are cut at the edges of `Layered`
+    scatterers, which are within 1e-5 by day and 1e-2 in twilight. In spherical geometry the air above 100 km, 4e-6 of
+    all, does not scatter. Polarisation has no effect on the radiance of light that is scattered once.
     **Source:** Nishita et al. 1993; Bruneton & Neyret 2008, sec. 3; ERRATA of the papers on sun distances.
 
     **Example:**
@@ -181,7 +181,7 @@ class SingleScattering(AbstractSolver):
 
     @classmethod
     def normal(cls, geometry: Geometry = "spherical") -> "SingleScattering":
-        """24 nodes: the quadrature is not what limits it."""
+        """24 nodes: the quadrature does not limit the accuracy."""
         return cls(nodes=24, geometry=geometry)
 
     @classmethod
@@ -216,7 +216,7 @@ class SingleScattering(AbstractSolver):
 
     @checked
     def path(self, atmosphere: Atmosphere, scene: Scene, distance: Float[Array, " direction"]) -> Path:
-        """The air between the observer and objects at `distance` (m) along each view.
+        """Effect of the air between the observer and objects at `distance` (m) along each view.
 
         **Arguments:** `distance`, >= 0, infinite for the sky. **Valid:** a view that meets the ground ends there.
         """

@@ -1,4 +1,4 @@
-"""Constant density: single scattering in closed form, as Hoffman & Preetham have it."""
+"""Air of constant density: single scattering in closed form, after Hoffman & Preetham."""
 
 from typing import ClassVar, NamedTuple
 
@@ -25,25 +25,26 @@ from .dome import fluxes_by_quadrature
 from .optics import optics
 
 
-# m, objects further off are taken to be here
+# Largest distance (m) of objects; those further off are taken to be here.
 _FARTHEST = 1e9
-# 95 % of views to 85 degrees under a sun at 88 are within this, by `SingleScattering.fine` on a sphere, haze to 0.3
+# Error that 95 % of views to 85 degrees stay under with the sun at 88, against `SingleScattering.fine` on a sphere,
+# haze to 0.3.
 UNIFORM_SUNS = Suns(90.0, 1.0)
 
 
 class Uniform(AbstractSolver):
-    r"""Single scattering in air and haze of the ground's density that end where their column is used up.
+    r"""Single scattering in air and haze that have their density at the ground up to where their column ends.
 
-    $L_{in}(s, \gamma) = \frac{1}{\beta_{ex}} E_{sun} \beta_{sc}(\gamma) (1 - e^{-\beta_{ex} s})$ in a shell, the
-    shells one inside the other: all scatterers in the innermost, the one of the greatest optical length alone in
-    the outermost. A constituent has the coefficient $\beta = \tau \rho(0)$ and the optical length
-    $1 / \rho(0)$ straight up, `relative_airmass` times that along other directions. $E_{sun}$ is the irradiance
-    at the ground; a constituent that only absorbs filters it and has no shell.
+    Within a shell $L_{in}(s, \gamma) = \frac{1}{\beta_{ex}} E_{sun} \beta_{sc}(\gamma) (1 - e^{-\beta_{ex} s})$.
+    The shells lie one inside the other: the innermost holds all scatterers, the outermost only the one of the greatest
+    optical length. A constituent has the coefficient $\beta = \tau \rho(0)$ and the optical length $1 / \rho(0)$
+    straight up, `relative_airmass` times that along other directions. $E_{sun}$ is the irradiance at the ground. A
+    constituent that only absorbs filters it and has no shell.
 
-    With a scene at 650, 570 and 475 nm and an irradiance of one's own scale this is the article's RGB model; its
-    haze is `hoffman_haze`. The reference for errors is the integral through real profiles (`SingleScattering`).
-    **Valid:** sun above the horizon (the sky is black below it); observer on the ground. Light scattered once: leaving
-    polarisation out costs its radiance nothing.
+    With a scene at 650, 570 and 475 nm and an irradiance of one's own scale this is the article's RGB model, whose haze
+    is `hoffman_haze`. The reference for errors is the integral through real profiles (`SingleScattering`).
+    **Valid:** sun above the horizon (the sky is black below it); observer on the ground. Polarisation has no effect on
+    the radiance of light that is scattered once.
     **Source:** Hoffman & Preetham 2002, eq. 1-5 and Sky Color; the stored text of the two-shell sum lacks the plus
     between its two terms.
     """
@@ -57,17 +58,17 @@ class Uniform(AbstractSolver):
 
     @classmethod
     def draft(cls, geometry: Geometry = "flat") -> "Uniform":
-        """As `normal`: the sums are closed."""
+        """As `normal`: the sums have a closed form."""
         return cls(geometry)
 
     @classmethod
     def normal(cls, geometry: Geometry = "flat") -> "Uniform":
-        """There is nothing to resolve."""
+        """The closed form, which has no resolution."""
         return cls(geometry)
 
     @classmethod
     def fine(cls, geometry: Geometry = "flat") -> "Uniform":
-        """As `normal`: the sums are closed."""
+        """As `normal`: the sums have a closed form."""
         return cls(geometry)
 
     @property
@@ -87,7 +88,7 @@ class Uniform(AbstractSolver):
 
     @checked
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
-        """Sky radiance by one scattering in the shells, W m^-2 sr^-1 nm^-1."""
+        """Sky radiance by single scattering in the shells, W m^-2 sr^-1 nm^-1."""
         return _radiance(atmosphere, scene)
 
     @checked
@@ -98,18 +99,18 @@ class Uniform(AbstractSolver):
 
     @checked
     def path(self, atmosphere: Atmosphere, scene: Scene, distance: Float[Array, " direction"]) -> Path:
-        r"""What lies between the eye and objects in air of the ground's density, $e^{-\beta_{ex} s}$ and eq. 4.
+        r"""Effect of air of the ground's density between the eye and objects, $e^{-\beta_{ex} s}$ and eq. 4.
 
         **Arguments:** `distance` to the objects, m, one per view (any view, downward too).
-        **Returns:** `Path`. **Valid:** near the ground: the density does not fall with height; beyond 1e9 m, and at
-        infinity, objects are taken to be at 1e9 m.
+        **Returns:** `Path`. **Valid:** near the ground, since the density does not fall with height; objects beyond
+        1e9 m, and at infinity, are taken to be at 1e9 m.
         """
         check_observer(self, scene)
         shells = _shells(atmosphere.constituents, scene)
         if not shells.length.size:
             clear = jnp.zeros((distance.shape[0], scene.wavelength_nm.shape[0]))
             return Path(clear + 1.0, clear)
-        # a depth image says infinity where there is only sky
+        # A depth image is infinite where there is only sky.
         distance = jnp.minimum(distance, _FARTHEST)
         slant = distance[:, None] * jnp.sum(shells.extinction, axis=0)[None]
         scattered = jnp.sum(shells.scattered, axis=0) * distance[:, None] * phi1(slant)
@@ -131,7 +132,7 @@ def _shells(constituents: tuple[AbstractConstituent, ...], scene: Scene) -> _She
     ground = jnp.zeros_like(scene.sun_zenith)
     for i, c in enumerate(constituents):
         if c.phase is not None:
-            # a layer that begins above the ground has no density there: a very long shell keeps its column
+            # A layer that begins above the ground has no density there; a very long shell keeps its column.
             density = jnp.maximum(c.profile.density(ground), 1e-9)
             extinction.append(depth.extinction[i] * density)
             scattered.append(c.phase.at_haversine(half, scene.wavelength_nm) * (depth.scattering[i] * density)[None])
@@ -142,7 +143,7 @@ def _shells(constituents: tuple[AbstractConstituent, ...], scene: Scene) -> _She
 
 
 def _sun(constituents: tuple[AbstractConstituent, ...], scene: Scene) -> Float[Array, " wavelength"]:
-    """Irradiance of the sun at the ground, normal to its light, W m^-2 nm^-1."""
+    """Irradiance of the sun at the ground, normal to its beam, W m^-2 nm^-1."""
     depth = jnp.sum(optics(constituents, scene.wavelength_nm).extinction, axis=0)
     transmitted = jnp.exp(-depth * relative_airmass(scene.sun_zenith))
     return jnp.where(jnp.cos(scene.sun_zenith) > 0.0, scene.solar_irradiance * transmitted, 0.0)
@@ -154,8 +155,8 @@ def _radiance(atmosphere: Atmosphere, scene: Scene):
         return jnp.zeros((scene.view.zenith.shape[0], scene.wavelength_nm.shape[0]))
     ends = jnp.sort(shells.length)
     thickness = jnp.diff(ends, prepend=0.0)
-    # the rest of a scatterer's length, shell by shell from the inside
-    # by rank, not by length: where two are equal the gradient is then that of one order, and right
+    # Which scatterers each shell holds, from the inside out. Compare ranks, not lengths: where two are equal, the
+    # gradient is that of one order, and right.
     rank = jnp.argsort(jnp.argsort(shells.length))
     present = (rank[None] >= jnp.arange(ends.size)[:, None]).astype(ends.dtype)
     way = thickness[:, None] * relative_airmass(scene.view.zenith)[None]

@@ -1,4 +1,4 @@
-"""Spatial coherence: a solver is asked for few directions, and the smooth sky between them is interpolated."""
+"""Spatial coherence: a solver solves few directions, and the smooth sky between them is interpolated."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -17,22 +17,22 @@ from .contract import AbstractSolver, check_on_ground, check_scene, Geometry
 from .optics import optics
 
 
-# rad, where the grid ends: what a flat solver says of the last degrees is not smooth
+# Zenith angle (rad) at which the grid ends: the radiance of a flat solver is not smooth in the last degrees.
 _EDGE = {"flat": np.radians(88.0), "spherical": 0.5 * np.pi}
-# how much the nodes crowd the horizon, and the points of a scatterer's mean sunlight
+# How much the nodes crowd toward the horizon; number of heights in a scatterer's mean sunlight.
 _CROWDING, _HEIGHTS = 1.3, 8
-# directions that are served at once: their weights take 1.1 kB each, twice. More are served from a table of the
-# interpolant, of so many zenith angles and azimuths: cubics between them are within 2e-5 of it
+# Number of directions evaluated at once: their weights take 1.1 kB each, twice. For more directions, the numbers of
+# zenith angles and azimuths in a table of the interpolant: cubics in the table are within 2e-5 of it.
 _CHUNK, _FINE = 32768, (257, 129)
-# W m^-2 sr^-1 nm^-1; what is darker counts as black
+# Radiance (W m^-2 sr^-1 nm^-1) below which light counts as black.
 _DARK = 1e-30
 
 
 class Upsampled(NamedTuple):
     """An interpolated sky, `[direction, wavelength]` each.
 
-    `radiance`, W m^-2 sr^-1 nm^-1; `error`, the estimated relative error that interpolation adds to the solver's
-    own, without a gradient.
+    `radiance`, W m^-2 sr^-1 nm^-1; `error`, the estimated relative error that interpolation adds to the solver's own;
+    it has no gradient.
     """
 
     radiance: Float[Array, "direction wavelength"]
@@ -42,7 +42,7 @@ class Upsampled(NamedTuple):
 def upsample(
     solver: AbstractSolver, atmosphere: Atmosphere, scene: Scene, zeniths: int = 20, azimuths: int = 14
 ) -> Upsampled:
-    r"""The sky of any solver in many directions, solved in few and interpolated.
+    r"""Interpolate the sky of any solver to many directions from a solution in few.
 
     $\ln L = \ln \bar p(\gamma) + \sum_{k,m} a_{km} T_k(x(\theta)) \cos m\phi$, $\theta = \theta_1 \tanh(cx)/\tanh c$
 
@@ -51,21 +51,21 @@ def upsample(
     sun, and $L(-\theta, \phi) = L(\theta, \pi - \phi)$, so that the polynomials in x span the whole arc from
     horizon to horizon (k + m even) and nodes crowd its ends, not the zenith.
 
-    `zeniths * azimuths` directions are solved, whatever the number that is served: by default 280, 1/29 of the
-    8192 pixels of Klassen's 128 x 64 picture and 1/234 of those of a 256 x 256 dome. What is served costs the
-    phase functions and the product of a [direction, 280] by a [280, wavelength] matrix; beyond 32768 directions, in
-    place of it, cubics in a table of that product, 2e-5 off. Fewer directions than 280 are better asked of the solver.
+    The solver solves `zeniths * azimuths` directions, whatever the number that is asked for: by default 280, 1/29 of
+    the 8192 pixels of Klassen's 128 x 64 picture and 1/234 of those of a 256 x 256 dome. The interpolation costs the
+    phase functions and the product of a [direction, 280] by a [280, wavelength] matrix. Beyond 32768 directions cubics
+    in a table of that product replace it, 2e-5 off. For fewer than 280 directions call the solver itself.
 
-    The error of the interpolant without its highest quarter of coefficients, in zenith and in azimuth, is known
-    at the nodes; its largest value among a node and its neighbours, linear between nodes, is the estimate. It is
-    a bound in 95 % of directions where the grid resolves the sky; where errors reach some per cent, half a bound.
+    The error of the interpolant without its highest quarter of coefficients, in zenith and in azimuth, is known at the
+    nodes. The estimated error is its largest value among a node and its neighbours, linear between nodes. It is a bound
+    in 95 % of directions where the grid resolves the sky; where errors reach some per cent, it is half a bound.
 
     **Arguments:** `solver`, anything with `radiance` and `geometry`; `zeniths` >= 4 and `azimuths` >= 4, nodes.
-    **Returns:** `Upsampled`. **Valid:** the observer on the ground, a haze whose phase function is all that is
-    sharp in the sky. Flat: view zenith to 88 degrees; nearer to the horizon the last value is held with an error
-    of 1. Directions below the horizon and black skies: 0, with error 0. The error found: at view zenith to 85
-    degrees, sun 20 to 85 and optical depth of haze 0.05 and 0.4, at most 1 %; median below 0.02 %; at sun 85
-    and a depth of 0.6, 1.9 and 0.03 %.
+    **Returns:** `Upsampled`. **Valid:** the observer on the ground, and skies that are smooth apart from the phase
+    function of the haze. Flat: view zenith to 88 degrees; nearer to the horizon the last value is held with an error
+    of 1. Directions below the horizon and black skies are 0, with error 0. The error found is at most 1 %, median below
+    0.02 %, at view zenith to 85 degrees, sun 20 to 85 and optical depth of haze 0.05 and 0.4. At sun 85 and an optical
+    depth of 0.6 it is 1.9 and 0.03 %.
     **Source:** Klassen 1987, sec. 8. He integrates anew where the angle has changed by a threshold and repeats the
     colour between; here the threshold is replaced by an interpolant, which has no bands, and its error.
     """
@@ -84,7 +84,7 @@ def _upsampled(solver: AbstractSolver, atmosphere: Atmosphere, scene: Scene, zen
     values = solver.radiance(atmosphere, coarse)
     dark = values < _DARK
     smooth = jnp.log(jnp.where(dark, _DARK, values)) - _log_phase(atmosphere, coarse, solver.geometry)
-    # the weights sum to 1: about the largest value, float32 loses nothing and the sky cannot overflow
+    # The weights sum to 1. Relative to the largest value, float32 loses nothing and the sky cannot overflow.
     top = jax.lax.stop_gradient(jnp.max(smooth, axis=0))[None]
     smooth = smooth - top
 
@@ -110,7 +110,7 @@ def _upsampled(solver: AbstractSolver, atmosphere: Atmosphere, scene: Scene, zen
     by_table = grid.tabled(smooth, missed)
     blocks = -(-count // _CHUNK)
     filled = jax.tree.map(lambda v: jnp.pad(v, (0, blocks * _CHUNK - count), "edge").reshape(blocks, -1), scene.view)
-    # a gradient computes each block again, so that it needs no more memory than one
+    # A gradient computes each block again, so that it needs the memory of one block only.
     found = jax.lax.map(jax.checkpoint(lambda view: served(view, by_table)), filled)
     return jax.tree.map(lambda v: v.reshape(-1, v.shape[-1])[:count], found)
 
@@ -135,7 +135,7 @@ class _Grid(NamedTuple):
         return Directions(zenith, sun_azimuth + jnp.arccos(turn))
 
     def place(self, zenith):
-        # past the edge by no more than rounding, so that the gradient on it is whole
+        # The limit is past the edge by rounding only, so that the gradient on the edge is whole.
         share = jnp.where(zenith < self.edge + 1e-6, zenith / self.edge, 1.0)
         return jnp.arctanh(np.tanh(_CROWDING) * share) / _CROWDING
 
@@ -143,7 +143,7 @@ class _Grid(NamedTuple):
         """Weights `[direction, node]` of the interpolant, with `up` and `around` coefficients kept."""
         along = chebyshev_weights(place, 2 * self.zeniths, up)
         across = chebyshev_weights(turn, self.azimuths, around)
-        # nodes beyond the zenith are nodes of this side, seen the other way round
+        # Nodes beyond the zenith are nodes of this side with the azimuth reversed.
         here, beyond = along[:, self.zeniths :], along[:, self.zeniths - 1 :: -1]
         both = here[:, :, None] * across[:, None, :] + beyond[:, :, None] * across[:, None, ::-1]
         return both.reshape(place.shape[0], -1)
@@ -156,7 +156,7 @@ class _Grid(NamedTuple):
         return (along[:, :, None] * across[:, None, :]).reshape(place.shape[0], -1)
 
     def tabled(self, smooth, missed):
-        """What serves the interpolant and what it misses, from a table of both."""
+        """Make the function that gives the interpolant and its error from a table of both."""
         polar, azimuth = (np.linspace(0.0, end, n) for end, n in zip((0.5 * np.pi, np.pi), _FINE, strict=True))
         every = np.meshgrid(np.cos(polar), np.cos(azimuth), indexing="ij")
         places, turns = (jnp.asarray(v.ravel(), smooth.dtype) for v in every)
@@ -164,7 +164,7 @@ class _Grid(NamedTuple):
         table = jnp.concatenate(values, axis=1).reshape(*_FINE, -1)
 
         def at(zenith, azimuth):
-            # past the end of the polar angle, where its slope is infinite, by no more than rounding
+            # Stay just short of the end of the polar angle, where its slope is infinite.
             polar = jnp.arccos(jnp.minimum(self.place(zenith), 1.0 - 1e-6))
             turned = jnp.mod(azimuth, 2.0 * np.pi)
             turned = jnp.minimum(turned, 2.0 * np.pi - turned)
@@ -178,7 +178,7 @@ class _Grid(NamedTuple):
         return at
 
     def missed(self, places, turns, smooth):
-        """What the interpolant with three quarters of its coefficients misses about each node, `[node, wavelength]`."""
+        """Error about each node of the interpolant with three quarters of its coefficients, `[node, wavelength]`."""
         up, around = 2 * self.zeniths - self.zeniths // 2, self.azimuths - max(1, self.azimuths // 4)
         miss = jnp.abs(smooth - self.weights(places, turns, up=up) @ smooth)
         miss = miss + jnp.abs(smooth - self.weights(places, turns, around=around) @ smooth)
@@ -189,7 +189,7 @@ class _Grid(NamedTuple):
 
 
 def _log_phase(atmosphere: Atmosphere, scene: Scene, geometry: Geometry) -> Float[Array, "direction wavelength"]:
-    """Log of the phase functions' mean, weighted by the sunlight that each constituent scatters; scale is arbitrary."""
+    """Log of the mean phase function, weighted by the sunlight that each constituent scatters, in arbitrary scale."""
     constituents, wavelength = atmosphere.constituents, scene.wavelength_nm
     depths = optics(constituents, wavelength)
     each = zip(constituents, depths.scattering, strict=True)

@@ -1,4 +1,4 @@
-"""Where views run through the air: the lit parts of each, quadrature points on them, columns from the eye."""
+"""Paths of views through the air: their lit parts, quadrature points on them, columns from the eye."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -24,20 +24,20 @@ from .columns import (
 from .contract import Geometry
 
 
-# the nodes of a curved path are spread over this many times the height in which the scatterers thin out
+# Nodes of a curved path are spread over this many times the height over which the scatterers thin out.
 _SPREAD = 2.0
-# m; no air is left there
+# Distance (m) at which no air is left.
 _FAR = 1e8
 # directions times wavelengths that a solver takes at once: some 2 kB each while it computes
 _AT_ONCE = 1 << 19
 
 
 class Views(NamedTuple):
-    """Straight lines from the observer; `height` of the observer (m), cosines of zenith angles there.
+    """Straight lines from the observer: `height` of the observer (m), cosines of the zenith angles there.
 
     `aloft` is False for the observer on the ground, whose views all climb; the horizontal one is the lowest.
-    `half_angle`, sin^2 of half the angle between view and sun; `length` (m) to where the view leaves the air,
-    meets the ground or ends.
+    `half_angle`, sin^2 of half the angle between view and sun; `entry` (m) to where the view enters the air; `length`
+    (m) to where it leaves the air, meets the ground or ends.
     """
 
     aloft: bool
@@ -121,9 +121,10 @@ def _through_air(height, cosine, climbs):
 
 
 def _shadow(views: Views):
-    """Distances (m) at which each view enters and leaves the Earth's shadow, both the view's end where it stays lit.
+    """Distances (m) at which each view enters and leaves the Earth's shadow; both are the view's end if it stays lit.
 
-    The shadow is the half cylinder behind the Earth: a quadratic in the distance, its roots without cancellation.
+    The shadow is the half cylinder behind the Earth. Its edges are the roots of a quadratic in the distance, computed
+    without cancellation.
     """
     radius = EARTH_RADIUS + views.height
     to_sun = 1.0 - 2.0 * views.half_angle
@@ -149,21 +150,22 @@ def lit_points(
     """Quadrature points on the lit parts of each view and the weights of their steps, m.
 
     Each part ends at the entry into the air, the lowest point of the view, the shadow's edges, a height where the
-    density jumps or the view's end; its nodes crowd toward its lower end, as the air does.
+    density jumps or the view's end. Its nodes crowd toward its lower end, as the air does.
 
     **Arguments:** `reach` (m), the height over which the scatterers thin out; `edges`, heights (m, increasing) of
-    jumps; `nodes` a part: one part for the observer on the ground, three aloft, times one more than the edges.
+    jumps; `nodes` per part. The observer on the ground has one part, one aloft three, times the number of edges plus
+    one.
     """
     if geometry == "flat":
         return _flat_points(views, reach, edges, nodes)
     into_dark, from_dark = _shadow(views)
     if not views.aloft:
-        # either in the shadow or never in it
+        # A view from the ground begins in the shadow or never enters it.
         pieces = [(jnp.where(into_dark <= views.entry, from_dark, views.entry), views.length)]
     else:
         radius = EARTH_RADIUS + views.height
         lowest = jnp.clip(-radius * views.cosine, views.entry, views.length)
-        # between the two outer parts lies a third, on the side of the lowest point where the shadow is not
+        # Between the two outer parts lies a third, on the side of the lowest point without shadow.
         before, after = jnp.minimum(into_dark, lowest), jnp.maximum(from_dark, lowest)
         third = jnp.where(into_dark > lowest, into_dark, jnp.minimum(from_dark, lowest))
         pieces = [(before, views.entry), (lowest, third), (after, views.length)]
@@ -194,13 +196,13 @@ def _cut(low, far, start: Points, edges):
 
 
 def _flat_points(views: Views, reach, edges, nodes):
-    """In height: dense toward the observer who looks up, toward the ground below one who looks down."""
+    """Points placed by height: dense toward the observer for views up, toward the ground for views down."""
     climb = jnp.abs(views.length * views.cosine)[:, None]
     low = jnp.where(views.cosine > 0.0, views.height, jnp.maximum(views.height + views.length * views.cosine, 0.0))
-    # heights above the lower end, which keep the digits of short paths
+    # Heights above the lower end, which keep the digits of short paths.
     inside = jnp.clip(edges[None] - low[:, None], 0.0, climb)
     place = jnp.concatenate([0.0 * climb, inside, climb], axis=1)
-    # layers do not thin out within themselves
+    # The density is constant within layers.
     scale = reach * (_SPREAD if edges.shape[0] else 1.0)
     y, weight = graded_nodes(jnp.diff(place, axis=1) / scale, nodes)
     height = low[:, None] + (place[:, :-1, None] + scale * y).reshape(place.shape[0], -1)
@@ -210,7 +212,7 @@ def _flat_points(views: Views, reach, edges, nodes):
 
 
 def points_at(views: Views, distance: Float[Array, "direction node"]) -> Points:
-    """Points of a sphere's views at distances, m."""
+    """Points at distances (m) on views in spherical geometry."""
     radius, cosine = (EARTH_RADIUS + views.height)[:, None], views.cosine[:, None]
     height = views.height[:, None] + height_gain(radius, cosine, distance)
     to_sun = (1.0 - 2.0 * views.half_angle)[:, None]
@@ -219,7 +221,7 @@ def points_at(views: Views, distance: Float[Array, "direction node"]) -> Points:
 
 
 def end_points(views: Views, geometry: Geometry) -> Points:
-    """The views' ends."""
+    """Points at the ends of the views."""
     if geometry == "spherical":
         return points_at(views, views.length[:, None])
     height = jnp.maximum(views.height + views.length * views.cosine, 0.0)[:, None]
@@ -229,7 +231,7 @@ def end_points(views: Views, geometry: Geometry) -> Points:
 def eye_columns(
     profiles: Sequence[AbstractProfile], views: Views, points: Points, geometry: Geometry
 ) -> Float[Array, "constituent direction node"]:
-    """The columns between the eye and points on its views, in units of the vertical column from the ground."""
+    """Columns between the eye and points on its views, in units of the vertical column from the ground."""
     lowest = jnp.maximum(tangent_height(views.height, views.cosine), 0.0)
     height = jnp.concatenate([views.height[:, None], lowest[:, None], points.height], axis=1)
     cosine = jnp.concatenate([views.cosine[:, None], jnp.zeros_like(lowest)[:, None], points.view_cosine], axis=1)
@@ -241,7 +243,7 @@ def eye_columns(
     descends = points.view_cosine[None] < 0.0
     column = jnp.where(descends, -climbed, climbed)
     if geometry == "spherical":
-        # down to the lowest point and up again
+        # The column down to the lowest point and up again.
         through = 2.0 * from_lowest - here - there
         column = jnp.where((views.cosine[None, :, None] < 0.0) & ~descends, through, column)
     return jnp.maximum(column, 0.0)

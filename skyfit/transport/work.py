@@ -1,4 +1,4 @@
-"""The multiply-adds and exponentials that a solver needs for a sky, and the seconds they take."""
+"""Multiply-adds and exponentials that a solver needs for a sky, and the seconds they take."""
 
 from typing import NamedTuple
 
@@ -15,24 +15,26 @@ from .single import SingleScattering
 from .spherical import Spherical
 
 
-# a second, of two cores at 2.5 GHz in float32: exponentials, flops in small batches and in large products
+# Rates per second of two cores at 2.5 GHz in float32: exponentials, flops in small batches and in large products.
 EXPONENTIALS, BATCHED_FLOPS, LARGE_FLOPS = 0.56e9, (12e9, 21e9), 45e9
-# measured over counted seconds of `fine` and of `SingleScattering.normal`, polarised over scalar, and what a call costs
-# (`Uniform`'s), s: medians of experiments/results/speed_vs_error.csv in float32, 343 directions and 41 wavelengths
+# Ratio of measured to counted seconds of `fine` and of `SingleScattering.normal`, ratio of polarised to scalar time,
+# and seconds of a call (that of `Uniform`): medians of experiments/results/speed_vs_error.csv in float32, 343
+# directions and 41 wavelengths.
 _OVER, _POLARISED, _CALL = {"single": 0.9, "double": 1.16, "orders": 1.8}, 1.31, 3e-4
-# one observer: 0.38 s with the sun at 60 degrees, 0.62 s at 90, of 8 wavelengths; experiments/results/spherical.json
+# Seconds per wavelength. One observer takes 0.38 s for 8 wavelengths with the sun at 60 degrees, 0.62 s at 90:
+# experiments/results/spherical.json.
 _SPHERICAL_WAVELENGTH = 0.078
 
 
 class Work(NamedTuple):
-    """Multiply-adds and exponentials of one part, and whether its multiplications are one large product."""
+    """Multiply-adds and exponentials of one part of a solver, and whether its multiplications are one large product."""
 
     multiply_adds: float
     exponentials: float
     large: bool
 
     def seconds(self) -> tuple[float, float]:
-        """At the fast and at the slow rate."""
+        """Seconds at the fast and at the slow rate."""
         rates = (LARGE_FLOPS, LARGE_FLOPS) if self.large else BATCHED_FLOPS[::-1]
         fast, slow = (2.0 * self.multiply_adds / rate + self.exponentials / EXPONENTIALS for rate in rates)
         return fast, slow
@@ -43,18 +45,18 @@ def counted(
 ) -> dict[str, Work]:
     """Work of one sky, by part.
 
-    D directions, W wavelengths, V of them solved, C constituents of which S scatter, Q nodes, N streams a
-    hemisphere, L layers, I sweeps, P pairs (l, m) with l >= m.
+    There are D directions, W wavelengths, V of them solved, C constituents of which S scatter, Q nodes, N streams per
+    hemisphere, L layers, I sweeps, M modes and P pairs (l, m) with l >= m.
 
-    single scattering: exponents $\\tau = $ column $\\cdot$ extinction, C D Q W; their exponentials, D Q W; the sum over
+    Single scattering: exponents $\\tau = $ column $\\cdot$ extinction, C D Q W; their exponentials, D Q W; the sum over
     nodes, S D Q W; phase functions times it, S D W; densities and two columns, 3 C D Q exponentials, with 17
-    multiply-adds a column on curved paths (exponential profiles; ozone's takes 16 points).
-    sweeps: moments to streams and back, 2 P N L V a sweep; in each of two directions 2 N L M V for the recurrence and
-    6 N L M V for the emitted and the mean light; turning on curved paths, 2 L N N M V; diffusion, L L V a sweep and
-    once the inverse that is dense as it is coded, L^3 V; attenuation and source functions, 4 N L V exponentials.
-    view integral: moments into views, P D L V; attenuation and source functions, 2 D L V exponentials and 4
-    multiply-adds. Of a spectrum that is solved at few wavelengths (`spectrum.interpolated`) coarse streams do both at
-    all wavelengths, over two grounds.
+    multiply-adds per column on curved paths (exponential profiles; ozone's takes 16 points).
+    Sweeps: moments to streams and back, 2 P N L V per sweep; in each of two directions 2 N L M V for the recurrence and
+    6 N L M V for the emitted and the mean light; turning on curved paths, 2 L N N M V; diffusion, L L V per sweep and
+    once its inverse, which is coded as dense, L^3 V; attenuation and source functions, 4 N L V exponentials.
+    View integral: moments into views, P D L V; attenuation and source functions, 2 D L V exponentials and 4
+    multiply-adds. For a spectrum that is solved at few wavelengths (`spectrum.interpolated`), coarse streams do sweeps
+    and view integral at all wavelengths, over two grounds.
     """
     directions, wavelengths = scene.view.zenith.shape[0], scene.wavelength_nm.shape[0]
     constituents, curved = len(atmosphere.constituents), solver.geometry == "spherical"
@@ -82,7 +84,7 @@ def counted(
 
 
 def _streams(resolution: Resolution, atmosphere: Atmosphere, directions: int, wavelengths: int) -> tuple[Work, Work]:
-    """Sweeps and view integral at so many wavelengths."""
+    """Work of the sweeps and of the view integral at a number of wavelengths."""
     n, layers, v = resolution.streams, resolution.levels, wavelengths
     count, modes = resolution.for_phases(atmosphere.constituents)
     pairs = sum(max(count - m, 0) for m in range(modes))
@@ -96,11 +98,11 @@ def _streams(resolution: Resolution, atmosphere: Atmosphere, directions: int, wa
 
 
 def seconds(solver: AbstractSolver, atmosphere: Atmosphere, scene: Scene) -> float:
-    """How long a sky may take, compiled, on two cores at 2.5 GHz in float32: counted work by measured ratios.
+    """Seconds that a sky may take, compiled, on two cores at 2.5 GHz in float32: counted work times measured ratios.
 
-    Ratios between solvers are what it is for: another machine and float64 scale all of them, and of a few wavelengths
-    a core makes less than of 41, where the ratios were measured: 16 directions and 4 wavelengths took some four times
-    as long. `Spherical`, whose work is not counted, by a measured time for each wavelength.
+    They serve to compare solvers: another machine and float64 scale all of them alike. Few wavelengths use a core less
+    well than the 41 at which the ratios were measured: 16 directions and 4 wavelengths took some four times as long.
+    The work of `Spherical` is not counted; its time is a measured time per wavelength.
     **Errors:** `ValueError` for another solver.
     """
     if isinstance(solver, Spherical):

@@ -1,4 +1,4 @@
-"""Aerial perspective: what exponential air and haze do to the light of distant objects, in closed form."""
+"""Aerial perspective: the effect of exponential air and haze on the light of distant objects, in closed form."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,15 +12,15 @@ from ..contract import check_eye, Path
 from ..optics import Optics, optics
 
 
-# m, objects further off are taken to be here
+# Largest distance (m) of objects; those further off are taken to be here.
 _FARTHEST = 1e9
-# what has a smaller cosine is horizontal: such a view meets no ground
+# Cosine below which a view is horizontal and does not meet the ground.
 _LEVEL_COSINE = 1e-7
-# of the thinnest constituent's scale height: what is left of it above is 5e-5
+# Height of the mixed air in scale heights of the thinnest constituent; 5e-5 of that constituent lie above.
 _RISE = 10.0
-# optical depth that the first pieces are spread over; measured, flat from 1 to 3
+# Optical depth that the first pieces are spread over; measured errors hardly change from 1 to 3.
 _FIRST_DEPTH = 2.0
-# m^-1, air at a height of 180 km: two of them multiplied are still a float32
+# Extinction (m^-1) of air at a height of 180 km; its square is still a float32.
 _NO_AIR = 1e-15
 
 
@@ -28,22 +28,23 @@ class AerialPerspective(Ranged):
     r"""Extinction and in-scatter between an eye and objects, for constituents that thin out exponentially.
 
     $L = L_0 \tau + \int_0^s \sum_i \beta_i P_i\, u_i(x)\, \tau(0..x)\, dx$, $u_i = e^{-h(x) / H_i}$,
-    $h = h_0 + x \cos\theta$, with the light $P_i$ of sun, sky and ground of `scattered_light`, which does not vary
-    along the view.
+    $h = h_0 + x \cos\theta$. `scattered_light` gives the light $P_i$ of sun, sky and ground, which does not vary along
+    the view.
 
     In terms of the optical depth D from the eye the integral is $\int J e^{-D} dD$. The source function
     $J = \sum \beta_i P_i u_i / \sum \beta_c u_c$ is a mean of the $P_i$ and varies only as the mixture does. The
-    view is cut into `pieces`; on each, J is the parabola in D that has its values at both ends and its mean,
-    and $e^{-D}$ is exact, by phi functions: nothing is divided by $\cos\theta$ or by D. Exact for one constituent, for
-    a horizontal view, for thick and for thin air; no light is gained or lost ($P_i = 1$ gives $1 - \tau$ without
-    absorption) for any number of pieces.
+    view is cut into `pieces`. On each, J is the parabola in D that has its values at both ends and its mean, and
+    $e^{-D}$ is exact, by phi functions: nothing is divided by $\cos\theta$ or by D. The result is exact for one
+    constituent, for a horizontal view, for thick and for thin air. No light is gained or lost for any number of pieces
+    ($P_i = 1$ gives $1 - \tau$ without absorption).
 
-    **Valid:** constituents that scatter must have `Exponential` profiles, else `ValueError` (fog: `Shells`). What only
-    absorbs is left out where its profile is another: ozone's layer is 1.3e-7 m^-1 near the ground at 600 nm, 2 % over
-    150 km. Polarisation is left out as in `scattered_light`, 4-9 % of what clear air scatters in the violet, 1 % in the
-    red. Flat Earth: a view down ends at the ground, and an observer on it sees nothing below the horizon.
-    The presets' errors are those of each constituent's integral alone against adaptive quadrature, T 1-10, eye 0-8 km,
-    to 150 km, in either precision: experiments/validation/aerial_perspective.py.
+    **Valid:** constituents that scatter must have `Exponential` profiles, else `ValueError` (fog: `Shells`). Pure
+    absorbers with another profile are left out: ozone's layer is 1.3e-7 m^-1 near the ground at 600 nm, 2 % over
+    150 km. Polarisation is left out as in `scattered_light`, 4-9 % of the light that clear air scatters in the violet,
+    1 % in the red. The Earth is flat: a view down ends at the ground, and an observer on the ground sees nothing below
+    the horizon.
+    The presets' errors are those of each constituent's integral alone against adaptive quadrature, for T 1-10, eyes at
+    0-8 km and distances to 150 km, in either precision: experiments/validation/aerial_perspective.py.
     **Source:** Preetham 1999, sec. 4, eq. 5-9. The paper's K lacks a sign (eq. 7; transmittances above 1), its eq. 10
     has $e^{-H_1}$ for $H_1$, and its cubic in $u_1$ (A.4) with division by $K^4$ and $\cos\theta$ is 3 % off straight
     up at 5 km, useless at 20 km and in single precision.
@@ -73,11 +74,11 @@ class AerialPerspective(Ranged):
         distance: Float[Array, " direction"],
         source: Float[Array, "constituent direction wavelength"],
     ) -> Path:
-        """The air between the eye at `scene.height` and objects.
+        """Effect of the air between the eye at `scene.height` and objects.
 
         **Arguments:** `distance` to the objects, m, infinite for the sky; `source`, the light that each scatterer
-        turns into each view, W m^-2 sr^-1 nm^-1, by `scattered_light`.
-        **Returns:** `Path`. **Valid:** any view; beyond 1e9 m objects are taken to be at 1e9 m.
+        scatters into each view, W m^-2 sr^-1 nm^-1, from `scattered_light`.
+        **Returns:** `Path`. **Valid:** any view; objects beyond 1e9 m are taken to be at 1e9 m.
         """
         _check(atmosphere, scene, distance)
         return self._path(atmosphere, scene, distance, source)
@@ -101,7 +102,7 @@ class AerialPerspective(Ranged):
     def _ends(self, height, cosine, distance, coefficient: Optics, scale) -> Float[Array, "direction end"]:
         """Distances (m) of the ends of the pieces: dense at the eye where the air is thick, else even.
 
-        The last piece is what lies so high that only one constituent is left.
+        The last piece is the air that lies so high that only one constituent is left.
         """
         at_eye = jnp.exp(-height / scale) @ coefficient.extinction
         length = _FIRST_DEPTH / jnp.maximum(jnp.mean(at_eye), 1.0 / _FARTHEST)
@@ -122,7 +123,8 @@ def constant_ambient(
 
     **Arguments:** `distance` m; `ambient` $L_a$, W m^-2 sr^-1 nm^-1, the zenith's radiance in the paper. $t$ is the
     transmittance of 1 km of level air at the eye.
-    **Returns:** `Path`. **Valid:** as a rival: it knows neither view nor sun, nor that the air thins out.
+    **Returns:** `Path`. **Valid:** for comparison only: it depends neither on view nor on sun, and the air does not
+    thin out with height.
     **Source:** Ward-Larson 1998, as Preetham 1999, sec. 5 and Fig. 8, have it.
     """
     _check(atmosphere, scene, distance)
@@ -142,7 +144,7 @@ def _check(atmosphere: Atmosphere, scene: Scene, distance) -> None:
 
 
 def exponential_constituents(atmosphere: Atmosphere) -> tuple[AbstractConstituent, ...]:
-    """The constituents that thin out exponentially; a `ValueError` where one that scatters does not."""
+    """The constituents with exponential profiles; raises a `ValueError` if a scatterer has another profile."""
     for c in atmosphere.constituents:
         if c.phase is not None and not isinstance(c.profile, Exponential):
             raise ValueError(
@@ -153,7 +155,7 @@ def exponential_constituents(atmosphere: Atmosphere) -> tuple[AbstractConstituen
 
 
 def _geometry(scene: Scene, distance):
-    """Height of the eye, cosines of the views, distances of what they meet: object or ground."""
+    """Height of the eye, cosines of the views, and distances of the object or ground that they meet."""
     cosine = jnp.cos(scene.view.zenith)
     height = jnp.zeros_like(scene.sun_zenith) if scene.height is None else scene.height
     down = cosine < -_LEVEL_COSINE
@@ -162,7 +164,7 @@ def _geometry(scene: Scene, distance):
 
 
 def _at_scatterers(constituents: tuple[AbstractConstituent, ...], source):
-    """The source with rows of zeros for what only absorbs."""
+    """The source with rows of zeros for pure absorbers."""
     scatters = [c.phase is not None for c in constituents]
     if source.shape[0] != sum(scatters):
         raise ValueError(f"`source` must have a row for each of {sum(scatters)} scatterers, got {source.shape}")
@@ -171,7 +173,7 @@ def _at_scatterers(constituents: tuple[AbstractConstituent, ...], source):
 
 
 def _column(start, end, length, scale) -> Float[Array, "*shape constituent"]:
-    """Density at the ground times this length, m, has the column of a ray that goes from one height to another."""
+    """Length (m) that, times the density at the ground, is the column of a ray from one height to another."""
     start, end = jnp.broadcast_arrays(start, end)
     rate = jnp.expand_dims(1.0 / scale, range(end.ndim))
     return length[..., None] * exp_mean(start[..., None] * rate, end[..., None] * rate)
@@ -185,7 +187,7 @@ def _inscatter(height, cosine, ends, extinction, light, scale) -> Float[Array, "
     depth = column @ extinction
     before = jnp.cumsum(depth, axis=1) - depth
     rate = density @ extinction + _NO_AIR
-    # per metre, times what the piece's optical depth has of it: the source function times optical depth
+    # Source function times the piece's optical depth: emission per metre times the ratio of optical depth to rate.
     emitted = jnp.einsum("dec,cdw->dew", density, light)
     passed = depth + _NO_AIR * step[..., None]
     near = emitted[:, :-1] * (passed / rate[:, :-1])

@@ -1,4 +1,4 @@
-"""The light of sun, sky and ground that each constituent turns into a view: what aerial perspective is made of."""
+"""Light of sun, sky and ground that each constituent scatters into a view: the source of aerial perspective."""
 
 from collections.abc import Callable
 
@@ -13,9 +13,9 @@ from ...scene import Directions, haversine, Scene
 from ..dome import dome
 
 
-# views at once: what they need in memory stays under 100 MB
+# Number of views computed at once, so that memory stays under 100 MB.
 _BATCH = 64
-# W m^-2 sr^-1 nm^-1; what is darker counts as black
+# Radiance (W m^-2 sr^-1 nm^-1) below which light counts as black.
 _DARK = 1e-30
 
 
@@ -27,7 +27,7 @@ def scattered_light(
     rings: int = 24,
     grid: tuple[int, int] | None = None,
 ) -> Float[Array, "constituent direction wavelength"]:
-    r"""The mean of all light around a point, weighted by each constituent's phase function toward the eye.
+    r"""Integral of all light around a point, weighted by each constituent's phase function toward the eye.
 
     $P_i = E_{sun}\, p_i(\gamma) + \int_{sky} L\, p_i\, d\omega + \frac{\rho E}{\pi} \int_{ground} p_i\, d\omega$; the
     paper's $S^0_i$ is $\beta_i P_i$.
@@ -35,15 +35,16 @@ def scattered_light(
     **Arguments:** `radiance` of a scene's views, W m^-2 sr^-1 nm^-1, such as
     `lambda sky: solver.radiance(atmosphere, sky)`; `sunlight` at the ground normal to its beam, W m^-2 nm^-1
     (`fluxes(...).direct` over the cosine of the sun's zenith angle); `rings` of the quadrature over the sky,
-    with twice as many azimuths; `grid`, for pictures, zenith and azimuth nodes of a table for what sky and ground
-    give, between which its logarithm is interpolated; the sun's part is exact.
+    with twice as many azimuths; `grid`, for pictures: numbers of zenith and azimuth nodes of a table of the light from
+    sky and ground, whose logarithm is interpolated. The sun's part is exact.
     **Returns:** a row for each constituent that scatters, W m^-2 sr^-1 nm^-1.
-    **Valid:** the light at the ground stands for that at every height, as in the paper, and the ground (Lambertian, its
-    albedo the atmosphere's; the paper has none: albedo 0) is lit as at the eye. 24 rings are within 1e-6 for
+    **Valid:** the light at the ground stands for that at every height, as in the paper. The ground is Lambertian with
+    the atmosphere's albedo (the paper has none: albedo 0) and is lit as at the eye. 24 rings are within 1e-6 for
     a Henyey-Greenstein g of 0.7, 5e-3 for 0.85 and 2e-3 for Bullrich's table, worst in the aureole of a low sun; a
     grid of (16, 17) adds 4e-3, 6e-2 and 2e-3, one of (24, 25) 3e-4, 2e-2 and 8e-4.
-    Sky light counts as unpolarised: what clear air makes of it and of the sun in level views is up to 4 % off at 383 nm
-    under a sun at 60 degrees, 9 % at 75, and 1 % at 710 nm, where the radiance is a polarised solver's too.
+    Sky light counts as unpolarised. The light that clear air scatters from sky and sun into level views is therefore up
+    to 4 % off at 383 nm under a sun at 60 degrees, 9 % at 75, and 1 % at 710 nm, also where `radiance` is that of a
+    polarised solver.
     **Source:** Preetham 1999, sec. 4.2.
     """
     scatterers = tuple(c for c in atmosphere.constituents if c.phase is not None)
@@ -87,7 +88,7 @@ def _phases(scatterers: tuple[AbstractConstituent, ...], half, scene: Scene):
 def _table(scene: Scene, grid: tuple[int, int]):
     """Directions `(zenith, azimuth)` of the table's nodes and the weights `[direction, node]` of the scene's views.
 
-    Chebyshev's polynomials in the zenith angle, Fourier's in the azimuth from the sun.
+    The interpolant has Chebyshev polynomials in the zenith angle and Fourier terms in the azimuth from the sun.
     """
     zeniths, azimuths = grid
     if zeniths < 2 or azimuths < 3 or azimuths % 2 == 0:

@@ -1,4 +1,4 @@
-"""The tables read: radiance from the ground to space, the air before objects, light shafts."""
+"""Reading the tables: radiance from the ground to space, the air in front of objects, light shafts."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from .tables import Air, reflected, Tables
 
 
 def air_of(atmosphere: Atmosphere, wavelength_nm: Float[Array, " wavelength"]) -> Air:
-    """What the tables need of an atmosphere."""
+    """The properties of an atmosphere that the tables need."""
     depths = optics(atmosphere.constituents, wavelength_nm)
     reflectance = atmosphere.ground.reflectance(wavelength_nm)
     return Air(atmosphere.constituents, wavelength_nm, depths.extinction, depths.scattering, reflectance)
@@ -27,9 +27,9 @@ def air_of(atmosphere: Atmosphere, wavelength_nm: Float[Array, " wavelength"]) -
 class BrunetonField(eqx.Module):
     r"""The tables of `Bruneton.prepare`, which answer any observer, view and sun at their wavelengths.
 
-    **Valid:** observers from the ground to space; suns that stand, where a view enters the air, no lower than the
-    tables end (`known` says which views have one; a lower sun is taken to stand at the end). Scenes whose wavelengths
-    are not those of the tables are a `ValueError`, and so are suns that are too low for the observer.
+    **Valid:** observers from the ground to space; suns that, at the point where a view enters the air, are no lower
+    than the lowest sun of the tables (`known` tells for which views; a lower sun is replaced by the lowest). Scenes at
+    other wavelengths than those of the tables raise a `ValueError`, and so do suns that are too low for the observer.
     """
 
     atmosphere: Atmosphere
@@ -45,13 +45,14 @@ class BrunetonField(eqx.Module):
     def radiance(
         self, scene: Scene, shadowed: Float[Array, " direction"] | None = None
     ) -> Float[Array, "direction wavelength"]:
-        r"""Diffuse radiance, with the ground's light where a view meets it, W m^-2 sr^-1 nm^-1.
+        r"""Diffuse radiance, including light of the ground where a view meets it, W m^-2 sr^-1 nm^-1.
 
-        $L = R[L_0] + R[L_*] + S|_x - T(x, x_s)\, S|_{x_s}$, $x_s$ where `shadowed` m at the far end of a view to the
-        ground begin; of a view to the sky $T(x, x_s)\, S|_{x_s}$, $x_s$ where those at its near end are over.
+        A view to the ground has $L = R[L_0] + R[L_*] + S|_x - T(x, x_s)\, S|_{x_s}$, where $x_s$ is the start of the
+        last `shadowed` m. A view to the sky has $T(x, x_s)\, S|_{x_s}$, where $x_s$ is the end of the first `shadowed`
+        m.
 
-        **Arguments:** `shadowed`, the length that mountains or clouds shade, m; left out: none. Multiple scattering
-        is taken out of the shadow, too. **Returns:** black below the horizon of an observer on the ground.
+        **Arguments:** `shadowed`, the length that mountains or clouds shade, m; None for no shadow. The shadow lacks
+        multiple scattering, too. **Returns:** black below the horizon of an observer on the ground.
         **Source:** Bruneton & Neyret 2008, eq. 16-18.
         """
         self._check(scene)
@@ -59,7 +60,7 @@ class BrunetonField(eqx.Module):
         return _radiance(self, scene, shadowed)
 
     def path(self, scene: Scene, distance: Float[Array, " direction"]) -> Path:
-        r"""The air before objects: $T(x, x_o) = T(x) / T(x_o)$ and $S|_x - T(x, x_o)\, S|_{x_o}$.
+        r"""Effect of the air in front of objects: $T(x, x_o) = T(x) / T(x_o)$ and $S|_x - T(x, x_o)\, S|_{x_o}$.
 
         **Arguments:** `distance`, m, >= 0, infinite for the sky. **Valid:** views that meet the ground end there.
         The light of short paths is a difference of large numbers.
@@ -80,14 +81,15 @@ class BrunetonField(eqx.Module):
     ) -> Float[Array, "place wavelength"]:
         r"""Diffuse irradiance of terrain, $\frac{1 + n \cdot \bar n}{2} E[L_*]$, per unit irradiance of the sun.
 
-        **Arguments:** `height`, m; `sun_cosine`, of the sun's zenith angle there; `tilt_cosine`, of the slope.
+        **Arguments:** `height`, m; `sun_cosine`, the cosine of the sun's zenith angle there; `tilt_cosine`, the cosine
+        of the slope's tilt.
         **Source:** Bruneton & Neyret 2008, eq. 14, 15.
         """
         open_sky = (0.5 + 0.5 * tilt_cosine)[:, None]
         return open_sky * irradiance(self.tables.irradiance, height, sun_cosine, self.sizes)
 
     def known(self, scene: Scene) -> Bool[Array, " direction"]:
-        """Whether the sun stands no lower than the tables end where each view enters the air."""
+        """Whether the sun, where each view enters the air, is no lower than the lowest sun of the tables."""
         rays, _, sees = _starts(scene)
         return ~sees | (rays.sun_cosine >= self.sizes.lowest_sun - 1e-6)
 
@@ -103,7 +105,7 @@ class BrunetonField(eqx.Module):
 
 
 def check_sun(scene: Scene, lowest_sun: float) -> None:
-    """A `ValueError` for a sun lower than the tables know; traced ones pass."""
+    """Raise a `ValueError` for a sun lower than the lowest of the tables; traced suns are not checked."""
     lowest = np.degrees(np.arccos(lowest_sun))
     known = f"Bruneton, spherical: suns to {lowest:g} degrees"
     check_range("sun_zenith", scene.sun_zenith, 0.0, float(np.radians(lowest)), "rad", known)
@@ -114,7 +116,7 @@ def _listed(wavelength) -> str:
 
 
 def _starts(scene: Scene) -> tuple[Rays, Views, Bool[Array, " direction"]]:
-    """The views where they enter the air, whole, and which of them have any of it."""
+    """Rays where the views enter the air, the whole views, and which of them cross any air."""
     views = views_of(scene, "spherical")
     return _rays_at(views, views.entry, _lands(views)), views, views.length > views.entry
 
@@ -150,7 +152,7 @@ def _in_scattered(field: BrunetonField, rays: Rays, half_angle) -> Float[Array, 
 
 def _in_proportion(air: Air, place: int, smooth, once):
     r"""The one-component shortcut, $C_M = C_* \frac{C_{M,r}}{C_{*,r}} \frac{\beta_{R,r}}{\beta_{M,r}}
-    \frac{\beta_M}{\beta_R}$: red, the longest wavelength, is what is stored."""
+    \frac{\beta_M}{\beta_R}$; r is red, the longest wavelength, the only one that is stored."""
     red = jnp.argmax(air.wavelength_nm)
     reference = smooth[:, red][:, None]
     lit = reference > 0.0
@@ -184,7 +186,7 @@ def _radiance(field: BrunetonField, scene: Scene, shadowed):
             return direct + irradiance(tables.irradiance, ground, sun_cosine, field.sizes)
 
         air = air_of(field.atmosphere, field.wavelength_nm)
-        # the observer on the ground looks down on it from no height at all
+        # At height 0 a view down crosses no air and still sees the ground.
         ground = reflected(air, tables.optical_depth, start, of_ground, field.sizes)
         light = jnp.where((sees | start.ground)[:, None], light, 0.0) + ground
     else:

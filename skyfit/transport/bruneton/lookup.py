@@ -1,4 +1,4 @@
-"""Tables read between their nodes: linear in every coordinate, as a graphics processor reads a texture."""
+"""Interpolation of the tables, linear in every coordinate, as a graphics processor reads a texture."""
 
 import itertools
 from collections.abc import Sequence
@@ -11,10 +11,10 @@ from .parameterisation import meets_ground, Sizes, unit_angle, unit_height, unit
 
 
 class Rays(NamedTuple):
-    """Points in the air and what is seen from them: `height` (m) and cosines of zenith angles, of one shape.
+    """Points in the air and views from them: `height` (m) and cosines of zenith angles, all of one shape.
 
-    `angle`, the cosine between view and sun; `ground`, whether the view meets the ground: a property of the whole ray,
-    which its points must not decide anew.
+    `angle`, the cosine of the angle between view and sun; `ground`, whether the view meets the ground. This is a
+    property of the whole ray, which must not be decided again at its points.
     """
 
     height: Float[Array, "*shape"]
@@ -54,7 +54,7 @@ def optical_depth(
     ground: Bool[Array, "*shape"],
     sizes: Sizes,
 ) -> Float[Array, "*shape wavelength"]:
-    """The optical depth from points to the end of their views, by the transmittance table."""
+    """Optical depth from points to the end of their views, from the transmittance table."""
     rows, columns = sizes.transmittance
     view = view_position(unit_view(height, cosine, ground, sizes.rescaled), ground, columns)
     return interpolate(table, ((rows - 1) * unit_height(height), view))
@@ -66,7 +66,7 @@ def sunlight(
     sun_cosine: Float[Array, "*shape"],
     sizes: Sizes,
 ) -> Float[Array, "*shape wavelength"]:
-    """The share of the sun's beam that comes through to points, 0 where the ground hides the sun."""
+    """Transmittance of the sun's beam to points, 0 where the ground hides the sun."""
     dark = meets_ground(height, sun_cosine)
     lit = jnp.exp(-optical_depth(table, height, sun_cosine, jnp.zeros_like(dark), sizes))
     return jnp.where(dark[..., None], 0.0, lit)
@@ -78,7 +78,7 @@ def irradiance(
     sun_cosine: Float[Array, "*shape"],
     sizes: Sizes,
 ) -> Float[Array, "*shape wavelength"]:
-    """The irradiance on a level plane, by the table E."""
+    """Irradiance on a level plane, from the table E."""
     rows, columns = sizes.irradiance
     sun = (columns - 1) * unit_sun(sun_cosine, sizes.lowest_sun)
     return interpolate(table, ((rows - 1) * unit_height(height), sun))
@@ -87,7 +87,7 @@ def irradiance(
 def scattered(
     table: Float[Array, "height view sun angle value"], rays: Rays, sizes: Sizes
 ) -> Float[Array, "*shape value"]:
-    """What a table over the four coordinates, S for one, holds of rays."""
+    """Values for rays from a table over the four coordinates, such as S."""
     heights, views, suns, angles = sizes.scattering
     position = (
         (heights - 1) * unit_height(rays.height),

@@ -1,7 +1,7 @@
-r"""The paper's table coordinates: $u_r, u_\mu, u_{\mu_s}, u_\nu$ of a point, a view and a sun, and the way back.
+r"""The paper's table coordinates: $u_r, u_\mu, u_{\mu_s}, u_\nu$ of a point, a view and a sun, and their inverses.
 
-Heights stand for radii, $r = R + h$, and distances are formed without cancellation, so that float32 suffices. The
-paper's air is 60 km deep; here it ends where it ends for the other solvers, at 100 km.
+Heights replace radii, $r = R + h$, and distances are computed without cancellation, so that float32 suffices. The
+paper's air is 60 km deep; here it is 100 km deep, as for the other solvers.
 """
 
 from typing import NamedTuple
@@ -14,21 +14,22 @@ from ...numerics import safe_sqrt
 from ..columns import EARTH_RADIUS, TOP_OF_AIR
 
 
-# how fast the nodes of the sun's cosine thin out away from the lowest sun: sec. 4, Parameterization
+# Rate at which the nodes of the sun's cosine thin out away from the lowest sun: sec. 4, Parameterization.
 _CROWDING = 3.0
-# m, $H = \sqrt{R_t^2 - R_g^2}$, the distance from the ground's horizon to the top of the air
+# Distance (m) from the ground's horizon to the top of the air, $H = \sqrt{R_t^2 - R_g^2}$.
 HORIZON_TO_TOP = float(np.sqrt(TOP_OF_AIR * (2.0 * EARTH_RADIUS + TOP_OF_AIR)))
-# m, a distance that is divided by is at least this
+# Least distance (m) in a denominator.
 _SHORTEST = 1.0
-# a view straight down from the ground has no length: the smallest one that still tells down from level
+# Least length (m) of a view to the ground. A view straight down from the ground has none; with this one it still
+# differs from a level view.
 _NOTHING = 1e-9
 
 
 class Sizes(NamedTuple):
-    r"""Nodes of the tables: T by r and mu, E by r and mu_s, S by r, mu, mu_s and nu; all static.
+    r"""Numbers of nodes of the tables: T by r and mu, E by r and mu_s, S by r, mu, mu_s and nu; all static.
 
     `lowest_sun`, the cosine of the sun's zenith angle where the tables end, -0.2 in the paper; `rescaled`, whether the
-    nodes of views are spread over the lengths that views have, from straight up or down on.
+    nodes of views are spread over the lengths that views can have, from straight up or down on.
     """
 
     transmittance: tuple[int, int]
@@ -68,7 +69,7 @@ def unit_height(height: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
 
 
 def _lengths(height, ground, rescaled: bool):
-    """The lengths (m) of views at the ends of their half of the table, from a height."""
+    """Lengths (m) of views from a height at the two ends of their half of the table."""
     horizon = to_horizon(height)
     longest = jnp.where(ground, horizon, horizon + HORIZON_TO_TOP)
     return jnp.where(ground, height, TOP_OF_AIR - height) if rescaled else jnp.zeros_like(longest), longest
@@ -80,9 +81,9 @@ def unit_view(
     r"""$u_\mu = \frac12 - \frac{d_o}{2 \rho}$ of a view to the ground, $\frac12 + \frac{d_o}{2 (\rho + H)}$ of others.
 
     It jumps at the horizon, from 0 to 1, as the length of the view does. The paper writes the distances out; its second
-    line reads $\frac12 - (r\mu - \sqrt{\Delta + H^2}) / (2\rho + 2H)$. No view is shorter than that straight up or
-    down: the paper's nodes that are stand for it once more, and at the zenith the table is 4 % off. `rescaled` counts
-    d_o and the greatest length from there, as Bruneton's code of 2017 does.
+    line reads $\frac12 - (r\mu - \sqrt{\Delta + H^2}) / (2\rho + 2H)$. No view is shorter than the one straight up or
+    down. The paper's nodes for shorter ones repeat that view, and at the zenith the table is 4 % off. With `rescaled`
+    d_o and the greatest length count from there, as in Bruneton's code of 2017.
     """
     shortest, longest = _lengths(height, ground, rescaled)
     share = (distance_to_end(height, cosine, ground) - shortest) / jnp.maximum(longest - shortest, _SHORTEST)
@@ -91,7 +92,7 @@ def unit_view(
 
 
 def unit_sun(cosine: Float[Array, "*shape"], lowest_sun: float) -> Float[Array, "*shape"]:
-    r"""$u_{\mu_s} = (1 - e^{-3\mu_s - 0.6}) / (1 - e^{-3.6})$, with 0.6 = -3 x `lowest_sun`; lower suns have 0."""
+    r"""$u_{\mu_s} = (1 - e^{-3\mu_s - 0.6}) / (1 - e^{-3.6})$, with 0.6 = -3 x `lowest_sun`; 0 for lower suns."""
     whole = -np.expm1(-_CROWDING * (1.0 - lowest_sun))
     return jnp.clip(-jnp.expm1(-_CROWDING * (cosine - lowest_sun)) / whole, 0.0, 1.0)
 
@@ -110,9 +111,9 @@ def height_of(unit: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
 def length_of(
     unit: Float[Array, "*shape"], height: Float[Array, "*shape"], ground: Bool[Array, "*shape"], rescaled: bool
 ) -> Float[Array, "*shape"]:
-    """The length $d_o$ (m) of the view that `unit` stands for, no shorter than the one straight up or down."""
+    """Length $d_o$ (m) of the view at `unit`, no shorter than the one straight up or down."""
     shortest, longest = _lengths(height, ground, rescaled)
-    # on the ground itself the horizon is nowhere: views down are level but for the one straight down
+    # On the ground the distance to the horizon is 0: views down are level except for the one straight down.
     longest = jnp.maximum(longest, _SHORTEST)
     distance = shortest + jnp.where(ground, 1.0 - 2.0 * unit, 2.0 * unit - 1.0) * (longest - shortest)
     up = jnp.maximum(distance, jnp.maximum(TOP_OF_AIR - height, _SHORTEST))
@@ -136,12 +137,12 @@ def sun_of(unit: Float[Array, "*shape"], lowest_sun: float) -> Float[Array, "*sh
 
 
 def view_position(unit: Float[Array, "*shape"], ground: Bool[Array, "*shape"], count: int) -> Float[Array, "*shape"]:
-    """Where a view lies among `count` nodes, from 0: half of them on either side of the jump, none across it."""
+    """Position of a view among `count` nodes, from 0: half of them are on each side of the jump, none across it."""
     half = count // 2
     return jnp.where(ground, 2.0 * unit * (half - 1), half + (2.0 * unit - 1.0) * (half - 1))
 
 
 def view_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The units of `count` nodes of views, those to the ground first, and which look there."""
+    """Units of `count` nodes of views, those to the ground first, and which views meet the ground."""
     share = 0.5 * np.linspace(0.0, 1.0, count // 2)
     return np.concatenate([share, 0.5 + share]), np.arange(count) < count // 2

@@ -18,32 +18,32 @@ from .parameterisation import Sizes
 from .tables import Air, precompute, Resolution, Tables, transmittance
 
 
-# wavelengths at once: what the tables need in memory while they are made grows with them
+# Number of wavelengths computed at once. The memory that is needed to make the tables grows with it.
 _TOGETHER = 8
 
 
 class Bruneton(AbstractSolver):
-    r"""Multiple scattering on a sphere from four-dimensional tables, as Bruneton & Neyret have it; to be compared.
+    r"""Multiple scattering on a sphere from four-dimensional tables, after Bruneton & Neyret; meant for comparison.
 
-    Algorithm 4.1: T(r, mu), E(r, mu_s) and S(u_r, u_mu, u_mu_s, u_nu), `orders` of scattering and reflection by a
-    Lambertian ground, single scattering of haze apart, so that its phase function is applied when the table is read.
-    Read linearly, as a texture is.
+    Algorithm 4.1 makes T(r, mu), E(r, mu_s) and S(u_r, u_mu, u_mu_s, u_nu) by `orders` of scattering and reflection by
+    a Lambertian ground. Single scattering of haze is stored apart, so that its phase function is applied when the table
+    is read. Tables are read linearly, like a texture.
 
     `transmittance`, `irradiance`, `scattering`: nodes of the tables, the paper's by default; `nodes`, quadrature points
-    a part of a path; `directions`, zenith angles of a sphere and azimuths of a half turn; `lowest_sun`, the cosine of
-    the sun's zenith angle where the tables end; `rescaled`: views are spread over the lengths that there are, not from
-    nothing on (`unit_view`); `one_component`: of the haze only the longest wavelength is stored,
-    and the others are in proportion to the air's.
+    per part of a path; `directions`, numbers of zenith angles in a sphere and of azimuths in half a turn; `lowest_sun`,
+    the cosine of the sun's zenith angle where the tables end; `rescaled`, whether the nodes of views are spread over
+    the lengths that views can have, not from 0 on (`unit_view`); `one_component`, whether only the longest wavelength
+    of the haze is stored, and the others are taken in proportion to those of the air.
 
-    What differs from the paper: the air is 100 km deep on an Earth of 6371 km, as for the other solvers (60 and
-    6360); any constituents, each scatterer but the air with a table of its own; the logarithm of T is stored;
-    paths are integrated by graded Gauss nodes, single scattering over their lit parts; spheres by Gauss nodes on
-    either side of the horizon, with phase functions whose sum is made one.
-    **Valid:** observers from the ground to space, suns to `suns`, the last five degrees of which are a `LowSunWarning`.
-    Against backward Monte Carlo (experiments/validation/space.py) `normal` is 1.9 % off in the median under suns to 89
-    degrees, mostly for the orders that it leaves out (0.5 % with eight and `rescaled`), 4 % from 89 to 96, 7 % from 96
-    on; level views and views into the Earth's shadow 20 to 100 %. The limb in twilight, from space, is several times
-    too bright: S is linear between suns. Scalar: no polarisation.
+    Differences from the paper: the air is 100 km deep on an Earth of 6371 km, as for the other solvers (60 and
+    6360); constituents are arbitrary, and each scatterer but the air has its own table; the logarithm of T is stored;
+    paths are integrated by graded Gauss nodes, single scattering over their lit parts; spheres are integrated by Gauss
+    nodes on either side of the horizon, with phase functions whose sum is normalised to one.
+    **Valid:** observers from the ground to space; suns to `suns`, the last five degrees of which give a
+    `LowSunWarning`. Against backward Monte Carlo (experiments/validation/space.py) the median error of `normal` is
+    1.9 % under suns to 89 degrees, mostly from the orders that it leaves out (0.5 % with eight and `rescaled`), 4 %
+    from 89 to 96 and 7 % from 96 on. Level views and views into the Earth's shadow are 20 to 100 % off. The limb in
+    twilight, from space, is several times too bright, because S is linear between suns. Polarisation is left out.
     **Source:** Bruneton & Neyret 2008, Precomputed Atmospheric Scattering.
     """
 
@@ -95,7 +95,7 @@ class Bruneton(AbstractSolver):
 
     @property
     def suns(self) -> Suns:
-        # the largest errors of 95 % of views from the ground under the last suns, by the oracle of space.py
+        # Error that 95 % of views from the ground stay under with the lowest suns, against the reference of space.py.
         return Suns(float(np.degrees(np.arccos(self.lowest_sun))), 0.3)
 
     @property
@@ -110,9 +110,9 @@ class Bruneton(AbstractSolver):
         return self
 
     def prepare(self, atmosphere: Atmosphere, wavelength_nm: Float[ArrayLike, "..."]) -> BrunetonField:
-        """The tables of an atmosphere for all observers, views and suns, per unit irradiance of the sun.
+        """Make the tables of an atmosphere for all observers, views and suns, per unit irradiance of the sun.
 
-        **Arguments:** `wavelength_nm` `[wavelength]`, any number: they are solved eight at a time.
+        **Arguments:** `wavelength_nm` `[wavelength]`, any number: at most eight are solved at a time.
         **Returns:** `BrunetonField`.
         """
         wavelength_nm = as_float(wavelength_nm)
@@ -122,7 +122,7 @@ class Bruneton(AbstractSolver):
         atmosphere.check_wavelengths(wavelength_nm)
         if self.one_component and air_of(atmosphere, wavelength_nm).smooth is None:
             raise ValueError("`atmosphere` must have air, whose phase function ends at degree 2, for `one_component`")
-        # one program makes the tables with and without the shortcut
+        # One program makes the tables with and without the shortcut.
         tables = _tables(replace(self, one_component=False), atmosphere, wavelength_nm)
         if self.one_component:
             tables = tables._replace(apart=tables.apart[..., jnp.argmax(wavelength_nm)][..., None])
@@ -130,15 +130,15 @@ class Bruneton(AbstractSolver):
 
     @checked
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
-        """Radiance by all tables made anew, W m^-2 sr^-1 nm^-1: `prepare` serves many scenes.
+        """Radiance from tables made for this scene, W m^-2 sr^-1 nm^-1; `prepare` makes them once for many scenes.
 
-        Black below the horizon of an observer on the ground; from above it, with the ground's light.
+        It is black below the horizon of an observer on the ground, and contains light of the ground for one above it.
         """
         return self.prepare(atmosphere, scene.wavelength_nm).radiance(scene)
 
     @checked
     def path(self, atmosphere: Atmosphere, scene: Scene, distance: Float[Array, " direction"]) -> Path:
-        """The air between the observer and objects at `distance` (m) along each view."""
+        """Effect of the air between the observer and objects at `distance` (m) along each view."""
         return self.prepare(atmosphere, scene.wavelength_nm).path(scene, distance)
 
     @checked

@@ -26,7 +26,7 @@ from .texels import (
 
 
 class Air(NamedTuple):
-    """What the tables are made of: optical depths of the constituents and the ground's albedo at some wavelengths."""
+    """Input of the tables: optical depths of the constituents and the ground's albedo at some wavelengths."""
 
     constituents: tuple[AbstractConstituent, ...]
     wavelength_nm: Float[Array, " wavelength"]
@@ -36,13 +36,13 @@ class Air(NamedTuple):
 
     @property
     def scatterers(self) -> tuple[int, ...]:
-        """Places of what scatters: the paper's air first, if there is one."""
+        """Indices of the scatterers: the paper's air first, if there is one."""
         places = [i for i, c in enumerate(self.constituents) if c.phase is not None]
         return tuple(sorted(places, key=lambda i: i != self.smooth))
 
     @property
     def smooth(self) -> int | None:
-        """The place of the paper's air, the first that scatters smoothly: its phase function ends at degree 2."""
+        """Index of the paper's air, the first scatterer whose phase function ends at degree 2; None without one."""
         degrees = [(i, c.phase.last_degree) for i, c in enumerate(self.constituents) if c.phase is not None]
         return next((i for i, degree in degrees if degree is not None and degree <= 2), None)
 
@@ -53,23 +53,23 @@ class Air(NamedTuple):
 
     @property
     def smooth_phase(self) -> AbstractPhase:
-        """The phase function that light scattered more than once is divided by in the table: $P_R$."""
+        """Phase function $P_R$ by which light scattered more than once is divided in the table."""
         return RayleighPhase(0.0) if self.smooth is None else self.phases[0]
 
     def reach(self) -> Float[Array, ""]:
-        """The height (m) over which the scatterers thin out; nodes do not move with it when it is differentiated."""
+        """Height (m) over which the scatterers thin out; it has no gradient, so that nodes do not move."""
         return jax.lax.stop_gradient(
             jnp.max(jnp.stack([self.constituents[i].profile.reach() for i in self.scatterers]))
         )
 
 
 class Tables(NamedTuple):
-    r"""What is precomputed, per unit irradiance of the sun.
+    r"""The precomputed tables, per unit irradiance of the sun.
 
-    `optical_depth` `[height, view, wavelength]`, to the views' ends: T as its logarithm, so that $T(x) / T(y)$ is never
+    `optical_depth` `[height, view, wavelength]`, to the views' ends: the logarithm of T, so that $T(x) / T(y)$ is never
     0 / 0; `irradiance` `[height, sun, wavelength]`, $E[L_*]$; `air` `[height, view, sun, angle, wavelength]`,
-    $C_* = S_R[L_0] + S[L_*] / P_R$; `apart`, $C_M = S_M[L_0]$ of every other scatterer, one axis more in front, and one
-    wavelength only for the one-component shortcut.
+    $C_* = S_R[L_0] + S[L_*] / P_R$; `apart`, $C_M = S_M[L_0]$ of every other scatterer, which are an additional first
+    axis. With the one-component shortcut `apart` has only one wavelength.
     """
 
     optical_depth: Float[Array, "height view wavelength"]
@@ -79,7 +79,7 @@ class Tables(NamedTuple):
 
 
 class Resolution(NamedTuple):
-    """How finely the tables are made, all static: `nodes` a part of a path, `directions` of a sphere, `orders`."""
+    """Resolution of the tables, all static: `nodes` per part of a path, `directions` of a sphere, `orders`."""
 
     sizes: Sizes
     orders: int
@@ -91,7 +91,7 @@ _Light = Callable[[Rays], Array]
 
 
 def precompute(air: Air, resolution: Resolution) -> Tables:
-    """Algorithm 4.1. `orders` counts reflections by the ground, too; E has one less, as the paper's has."""
+    """Run algorithm 4.1. `orders` counts reflections by the ground, too; E has one order less, as in the paper."""
     sizes = resolution.sizes
     depth = transmittance(air, sizes)
     single = once_scattered(air, depth, resolution)
@@ -101,10 +101,10 @@ def precompute(air: Air, resolution: Resolution) -> Tables:
         return sunlight(depth, ground, sun_cosine, sizes) * jnp.maximum(sun_cosine, 0.0)[..., None]
 
     def order(state, _):
-        # one program for all orders: what is scattered once is lit in the first round only
+        # One program serves all orders. Light that is scattered once counts in the first round only.
         alive, more, light, total, whole = state
 
-        # last what is scattered more often, with no phase function to come
+        # The last row is light that is scattered more often, to which no further phase function applies.
         every = jnp.concatenate([alive * single, light[..., None, :]], axis=-2)
         flat = every.reshape(*sizes.scattering, -1)
 
@@ -131,7 +131,7 @@ def precompute(air: Air, resolution: Resolution) -> Tables:
     state = jnp.ones((), multiple.dtype), total, multiple, total, multiple
     if resolution.orders > 1:
         (*_, total, multiple), _ = jax.lax.scan(order, state, length=resolution.orders - 1)
-    # at the angle that the table is read by, also of entries whose zenith angles do not allow it
+    # $P_R$ at the angle by which the table is read, also for entries whose zenith angles do not allow that angle.
     half = jnp.clip(0.5 - 0.5 * texels(sizes).angle, 0.0, 1.0)
     phase = air.smooth_phase.at_haversine(half, air.wavelength_nm)[None, None, None]
     own = 0 if air.smooth is None else 1
@@ -145,7 +145,7 @@ def transmittance(air: Air, sizes: Sizes) -> Float[Array, "height view wavelengt
     ground, profiles = nodes.ground, [c.profile for c in air.constituents]
     start = jnp.broadcast_to(nodes.height[:, None], nodes.cosine.shape)
     sky = slant_columns(profiles, start[:, ~ground], nodes.cosine[:, ~ground], "spherical")
-    # from the ground up, less what lies above the height
+    # The column from the ground up, less the part above the height.
     low = start[:, ground]
     height = jnp.stack([jnp.zeros_like(low), low])
     cosine = jnp.maximum(jnp.stack([nodes.end[:, ground], -nodes.cosine[:, ground]]), 0.0)
@@ -196,7 +196,7 @@ def once_scattered(
 
 
 def reflected(air: Air, depth, rays: Rays, of_ground: Callable[[Array], Array], sizes: Sizes) -> Array:
-    r"""The light of the ground at the end of rays, $T \frac{\alpha}{\pi} E$; `of_ground` gives E by the sun there."""
+    r"""Light from the ground at the end of rays, $T \frac{\alpha}{\pi} E$; `of_ground` gives E by the sun there."""
     radius = EARTH_RADIUS + rays.height
     length = distance_to_end(rays.height, rays.cosine, rays.ground)
     sun = jnp.clip((radius * rays.sun_cosine + length * rays.angle) / EARTH_RADIUS, -1.0, 1.0)
@@ -206,7 +206,7 @@ def reflected(air: Air, depth, rays: Rays, of_ground: Callable[[Array], Array], 
 
 
 def gathered(air: Air, incident: _Light, resolution: Resolution) -> Float[Array, "height view sun angle wavelength"]:
-    """$J[L]$, eq. 7: what every entry scatters into its view, by quadrature over the directions of the light."""
+    """$J[L]$, eq. 7: light that every entry scatters into its view, by quadrature over the directions of the light."""
     nodes = texels(resolution.sizes)
     views, angles = nodes.cosine.shape[1], nodes.angle.shape[0]
 
@@ -234,7 +234,7 @@ def gathered(air: Air, incident: _Light, resolution: Resolution) -> Float[Array,
 
 
 def _vectors(cosine, turn) -> Float[Array, "direction 3"]:
-    """Unit vectors toward the sun's side, aside and up; `turn`, the cosine of the azimuth from the sun."""
+    """Unit vectors by components toward the sun, aside and up; `turn` is the cosine of the azimuth from the sun."""
     sine = jnp.sqrt(jnp.maximum(1.0 - cosine**2, 0.0))
     return jnp.stack([sine * turn, sine * jnp.sqrt(jnp.maximum(1.0 - turn**2, 0.0)), cosine], axis=1)
 
@@ -247,7 +247,7 @@ def _turned(
     weighted = around.weight[:, None] * light
     if phase.last_degree is not None and phase.last_degree <= 2:
         return _turned_smoothly(phase.moments(3, wavelength_nm), toward, come, weighted)
-    # what comes from one side and from the other: the mean of light that is one everywhere must be one
+    # Light from one side and from the other, normalised: the mean of light that is one everywhere must be one.
     weighted = jnp.concatenate([weighted, around.weight[:, None]], axis=1)
     level = toward[:, ::2] @ come[:, ::2].T
     across = toward[:, 1:2] * come[None, :, 1]
@@ -266,7 +266,7 @@ def _turned_smoothly(moments, toward, come, weighted) -> Float[Array, "view wave
     r"""As `_turned`, by $\frac{1}{4\pi} (1 + 3 \chi_1 c + \frac52 \chi_2 (3 c^2 - 1))$, c the cosine."""
 
     def squares(v):
-        # their product is the cosine's square, but for what is odd in y and cancels with the mirror image
+        # Their product is the square of the cosine without terms odd in y, which cancel with the mirror image.
         return jnp.stack([v[:, 0] ** 2, v[:, 1] ** 2, v[:, 2] ** 2, np.sqrt(2.0) * v[:, 0] * v[:, 2]], axis=1)
 
     twice = 2.0 * weighted
@@ -285,7 +285,7 @@ def _rays(height, sun, around: Sphere) -> Rays:
 
 
 def collected(light: _Light, resolution: Resolution) -> Float[Array, "height sun wavelength"]:
-    """$E[S]$, eq. 15, the irradiance on level planes at every height."""
+    """$E[S]$, eq. 15: irradiance on level planes at every height."""
     heights, suns = irradiance_nodes(resolution.sizes)
 
     def at(place):
@@ -314,7 +314,7 @@ def along_views(
         weight = points.weight[..., None] * jnp.exp(-jnp.maximum(passed, 0.0))
         place = view_position(unit_view(points.height, points.cosine, flags, sizes.rescaled), flags, views)
         slab = interpolate(slabs, ((heights - 1) * unit_height(points.height), place))
-        # the sun's cosine where the points are, between its nodes
+        # Cosine of the sun's zenith angle at the points, interpolated between its nodes.
         angle = possible_angle(cosine[:, None, None], nodes.sun_cosine[None, :, None], nodes.angle[None, None])
         ahead = (EARTH_RADIUS + height) * nodes.sun_cosine[None, None, :, None]
         sun = (ahead + points.distance[:, :, None, None] * angle[:, None]) / (

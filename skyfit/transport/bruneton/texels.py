@@ -1,4 +1,4 @@
-"""Where the entries of the tables stand and look, the directions that light reaches them from, the paths of views."""
+"""The nodes of the tables, the directions from which light reaches them, and the paths of their views."""
 
 from typing import NamedTuple
 
@@ -11,12 +11,12 @@ from ..columns import EARTH_RADIUS, graded_nodes, height_gain, length_scale
 from .parameterisation import distance_to_end, height_of, length_of, Sizes, sun_of, to_horizon, view_nodes, view_of
 
 
-# nodes of a path are spread over this many times the height in which the scatterers thin out
+# Nodes of a path are spread over this many times the height over which the scatterers thin out.
 _SPREAD = 2.0
 
 
 class Texels(NamedTuple):
-    """The nodes of the table S: `cosine` of the views at each height, `ground`, which of them meet it."""
+    """The nodes of the table S: `cosine` of the views at each height; `ground`, which views meet the ground."""
 
     height: Float[Array, " height"]
     cosine: Float[Array, "height view"]
@@ -50,7 +50,7 @@ def irradiance_nodes(sizes: Sizes) -> tuple[Float[Array, " height"], Float[Array
 
 
 class Ends(NamedTuple):
-    """The nodes of the table T: as `Texels`, and `end`, the cosine of the zenith angle of a view from its end."""
+    """The nodes of the table T: as `Texels`, and `end`, the cosine of the zenith angle of the view back at its end."""
 
     height: Float[Array, " height"]
     cosine: Float[Array, "height view"]
@@ -59,7 +59,7 @@ class Ends(NamedTuple):
 
 
 def transmittance_nodes(sizes: Sizes) -> Ends:
-    """The nodes of the table T; `end` of views to the ground only, up from there, with all digits at the horizon."""
+    """The nodes of the table T; `end` holds for views to the ground only, with all digits at the horizon."""
     heights, views = sizes.transmittance
     nodes = texels(sizes._replace(scattering=(heights, views, 2, 2)))
     shape = nodes.cosine.shape
@@ -68,16 +68,16 @@ def transmittance_nodes(sizes: Sizes) -> Ends:
     length = length_of(jnp.asarray(unit, height.dtype), height, ground, sizes.rescaled)
     horizon = to_horizon(height)
     up = (horizon - length) * (horizon + length) / (2.0 * EARTH_RADIUS * length)
-    # from the ground a view down is over where it begins
+    # A view down from the ground ends where it begins.
     return Ends(
         nodes.height, nodes.cosine, nodes.ground, jnp.clip(jnp.where(height > 0.0, up, -nodes.cosine), 0.0, 1.0)
     )
 
 
 def azimuth_cosine(cosine, sun_cosine, angle):
-    r"""The cosine of the azimuth between view and sun, $(\nu - \mu \mu_s) / \sqrt{(1 - \mu^2)(1 - \mu_s^2)}$.
+    r"""Cosine of the azimuth between view and sun, $(\nu - \mu \mu_s) / \sqrt{(1 - \mu^2)(1 - \mu_s^2)}$.
 
-    No view has every $\nu$: one that the two zenith angles do not allow stands for the nearest that they do.
+    The two zenith angles do not allow every $\nu$; others are replaced by the nearest that is allowed.
     """
     across = safe_sqrt((1.0 - cosine**2) * (1.0 - sun_cosine**2))
     some = across > 1e-6
@@ -85,13 +85,13 @@ def azimuth_cosine(cosine, sun_cosine, angle):
 
 
 def possible_angle(cosine, sun_cosine, angle):
-    r"""The $\nu$ that an entry of the table stands for: the nearest that its zenith angles allow."""
+    r"""The $\nu$ of an entry of the table: the nearest that its zenith angles allow."""
     across = safe_sqrt((1.0 - cosine**2) * (1.0 - sun_cosine**2))
     return jnp.clip(cosine * sun_cosine + across * azimuth_cosine(cosine, sun_cosine, angle), -1.0, 1.0)
 
 
 class Sphere(NamedTuple):
-    """Directions about a point, the half with y >= 0 where the sun stands in x z; `weight` (sr) counts one half."""
+    """Directions about a point: the half with y >= 0, with the sun in the x z plane; `weight` (sr) counts one half."""
 
     cosine: Float[Array, " direction"]
     azimuth: Float[np.ndarray, " direction"]
@@ -102,8 +102,8 @@ class Sphere(NamedTuple):
 def sphere(height: Float[Array, ""], counts: tuple[int, int], lower: bool = True) -> Sphere:
     """Directions from a height: zenith angles on either side of the horizon and dense at it, azimuths even.
 
-    **Arguments:** `counts`, zenith angles in all and azimuths of a half turn; `lower`: False for the directions
-    above a level plane only, cosines from 0.
+    **Arguments:** `counts`, the total number of zenith angles and the number of azimuths in half a turn; `lower`, False
+    for the directions above a level plane only, cosines from 0.
     """
     zeniths, azimuths = counts
     x, share = gauss_legendre(zeniths // 2)
@@ -136,8 +136,9 @@ class Paths(NamedTuple):
 def paths(height: Float[Array, ""], cosine: Float[Array, " view"], ground: bool, reach, nodes: int) -> Paths:
     """Points on whole views, dense where they run lowest.
 
-    **Arguments:** `ground`, whether all of the views end there; `reach` (m), the height over which the scatterers thin
-    out; `nodes` on a view to the ground, twice as many on others: one part before the lowest point and one after it.
+    **Arguments:** `ground`, whether all of the views end on the ground; `reach` (m), the height over which the
+    scatterers thin out; `nodes`, the number on a view to the ground. Others have twice as many: one part before the
+    lowest point and one after it.
     """
     radius = EARTH_RADIUS + height
     length = distance_to_end(height + jnp.zeros_like(cosine), cosine, jnp.full(cosine.shape, ground))

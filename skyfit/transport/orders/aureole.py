@@ -1,4 +1,4 @@
-"""The aureole: what delta-M and exact single scattering count too much near the sun."""
+"""The aureole: light near the sun that delta-M and exact single scattering count too much."""
 
 import jax
 import jax.numpy as jnp
@@ -14,24 +14,25 @@ from ..optics import Optics
 from .layering import peaked, Scaled
 
 
-# moments of the squared phase functions: those of asymmetry 0.95 have fallen to a thousandth
+# Number of moments, which are squared: at asymmetry 0.95 the squares have fallen to a thousandth.
 _SQUARED = 64
-# a peak smaller than this changes nothing, and its square, by which slopes divide, may be 0
+# A peak smaller than this has no effect. Its square, by which derivatives divide, may be 0.
 _NO_PEAK = 1e-12
 
 
 def aureole_excess(
     constituents: tuple[AbstractConstituent, ...], scene: Scene, scaled: Scaled, geometry: Geometry
 ) -> Float[Array, "direction wavelength"]:
-    r"""Light of the second order in the forward peak that is counted too much, per unit solar irradiance, sr^-1.
+    r"""Excess of second-order light in the forward peak, per unit solar irradiance, sr^-1.
 
     $\hat u = \frac{1}{4\pi} \frac{(\omega f)^2}{1 - \omega f} P''\, \chi$ with
     $P'' = \sum_l (2l+1)(2\rho_l - \rho_l^2) P_l$, where $\rho_l$ is 1 for the moments that the streams carry and the
     phase function's moment over f beyond, and
-    $\chi = \tau_v \tau_s \int_0^1 t\, e^{-\tau_v (1-t) - \tau_s t} dt$, $\tau_v$ along the view, $\tau_s$ that of the
-    sun times $1 - \omega f$. Optics are means over the column above the observer. Views down have none of it.
+    $\chi = \tau_v \tau_s \int_0^1 t\, e^{-\tau_v (1-t) - \tau_s t} dt$. The optical depth along the view is $\tau_v$;
+    $\tau_s$ is the one toward the sun times $1 - \omega f$. Single scattering albedo and phase function are means over
+    the column above the observer. The excess is 0 for views below the horizon.
 
-    **Valid:** within ten degrees of the sun, where it is up to some per cent of the light; it dies away beyond.
+    **Valid:** within ten degrees of the sun, where it is up to some per cent of the light; it vanishes beyond.
     **Source:** Nakajima & Tanaka 1988, JQSRT 40, 51, eq. 63 to 66.
     """
     wavelength, depth, count = scene.wavelength_nm, scaled.unscaled, scaled.moments.shape[0]
@@ -39,7 +40,7 @@ def aureole_excess(
     if scene.height is not None:
         level = scene.height
         left = jnp.stack([profile.column_above(level) for profile in profiles])[:, None]
-        # only the mixture counts: of the size of one, or the squares of what is left in space vanish
+        # Only the ratios matter. Scaled to order one, because the squares of tiny columns aloft would underflow.
         most = jax.lax.stop_gradient(jnp.max(left))
         left = left / jnp.where(most > 0.0, most, 1.0)
         mixed = Optics(left * depth.extinction, left * depth.scattering)
@@ -51,7 +52,7 @@ def aureole_excess(
     moments = jnp.sum(jnp.stack([share[i][None] * phase.moments(_SQUARED, wavelength) for i, phase in phases]), axis=0)
     degree = np.arange(_SQUARED)
     peak = moments[count][None]
-    # none of a peak that is narrower than these moments tell
+    # No correction for a peak that is too narrow for these moments to resolve.
     told = 1.0 - (moments[-1][None] / jnp.where(peak > _NO_PEAK, peak, 1.0)) ** 2
     weight = jnp.asarray(2.0 * degree + 1.0, wavelength.dtype)[:, None]
     carried = jnp.asarray(degree < count)[:, None]

@@ -1,4 +1,4 @@
-"""Diffusion of light through layers: a quick, conservative guess at all orders of scattering to come."""
+"""Diffusion of light through layers: a quick estimate of all remaining orders of scattering that loses no light."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -11,12 +11,12 @@ from jaxtyping import Array, Float
 from ...numerics import tridiagonal_inverse
 
 
-# optical depth between layers below which they count as one: diffusion guides the sweeps, it does not decide
+# Least optical depth between neighbouring layers. Thinner ones count as one: diffusion only guides the sweeps.
 _THIN = 1e-4
 
 
 class Spread(NamedTuple):
-    """Light that diffuses: mean radiance and flux / 4 pi in each layer, flux onto the ground and out of the top."""
+    """Diffused light: mean radiance and flux / 4 pi in each layer, flux onto the ground and out of the top."""
 
     moments: Float[Array, "moment layer wavelength"]
     ground_flux: Float[Array, " wavelength"]
@@ -29,16 +29,16 @@ def diffusion(
     forward: Float[Array, "layer wavelength"],
     ground_albedo: Float[Array, " wavelength"],
 ) -> Callable:
-    r"""All that follows the scattering of some light, as diffusion has it.
+    r"""Make the function that estimates, by diffusion, all light that follows from scattering some light.
 
-    With $M_0$, $M_1$ the mean radiance and flux / 4 pi: $dM_1/d\tau = -(1-\omega) M_0 + \omega m_0$ and
-    $\tfrac13 dM_0/d\tau = -(1-\omega g) M_1 + \omega g\, m_1$, means over layers, no light from above, a
-    Lambertian ground.
+    The mean radiance $M_0$ and the flux / 4 pi $M_1$ obey $dM_1/d\tau = -(1-\omega) M_0 + \omega m_0$ and
+    $\tfrac13 dM_0/d\tau = -(1-\omega g) M_1 + \omega g\, m_1$, as means over layers. No light enters from above. The
+    ground is Lambertian.
 
-    **Arguments:** of each layer from the top: optical depth, single-scattering albedo $\omega$, and that times the
-    asymmetry parameter, $\omega g$; the ground's albedo. **Returns:** a function of the mean radiance and the flux
-    / 4 pi that are scattered, `[layer, wavelength]` each, which gives those of all the light that follows and
-    its fluxes, a `Spread`. It is linear. No light is lost: what is not absorbed leaves.
+    **Arguments:** `depth`, `albedo` and `forward` are, from the top, each layer's optical depth, its single scattering
+    albedo $\omega$ and the product $\omega g$ with the asymmetry parameter; `ground_albedo`. **Returns:** a linear
+    function of the mean radiance and the flux / 4 pi that are scattered, `[layer, wavelength]` each. It gives a
+    `Spread`: those of all the light that follows, and its fluxes. No light is lost: light that is not absorbed leaves.
     **Source:** Alcouffe 1977, Nucl. Sci. Eng. 64, 344; boundaries of Marshak.
     """
     reflectance = ground_albedo[None]
@@ -46,7 +46,7 @@ def diffusion(
     between = jnp.maximum(half[1:] + half[:-1], _THIN)
 
     def mixing(width):
-        # between thick layers the sweeps carry more than diffusion does; the sums are unstable where it carries less
+        # Between thick layers sweeps carry more light than diffusion. The sums are unstable if diffusion carries less.
         return 0.25 * width**2 / (1.0 + width**2)
 
     inner = 1.0 / (3.0 * between) + mixing(between)
@@ -58,7 +58,7 @@ def diffusion(
     pushes = jnp.concatenate([none, push, 3.0 * bottom]), jnp.concatenate([3.0 * top, push, none])
 
     def flux(even, extra):
-        """M_1 at the levels; without light and source beyond the ends."""
+        """M_1 at the levels, with neither light nor source beyond the ends."""
         even, extra = jnp.pad(even, ((1, 1), (0, 0))), jnp.pad(extra, ((1, 1), (0, 0)))
         return rate * (even[:-1] - even[1:]) + pushes[0] * extra[:-1] + pushes[1] * extra[1:]
 
@@ -68,12 +68,12 @@ def diffusion(
     inverse = jax.vmap(tridiagonal_inverse)(*jax.lax.stop_gradient(diagonals))
 
     def balance(even, mean, extra):
-        """What a layer gains of the light that is scattered in it, less what it loses."""
+        """Gain of each layer from the light scattered in it, less its losses."""
         return depth * (albedo * mean - (1.0 - albedo) * even) - jnp.diff(flux(even, extra), axis=0)
 
     def diffuse(mean, stream):
         extra = 0.5 * depth * forward * stream
-        # one step of refinement: it has the derivative of the solution, without that of an inverse
+        # One step of refinement has the derivative of the solution and does not differentiate the inverse.
         guess = jax.lax.stop_gradient(jnp.einsum("wjk,kw->jw", inverse, balance(jnp.zeros_like(mean), mean, extra)))
         even = guess + jnp.einsum("wjk,kw->jw", inverse, balance(guess, mean, extra))
         level = flux(even, extra)
@@ -84,5 +84,5 @@ def diffusion(
 
 
 def first_of(values, shape: tuple[int, ...]):
-    """An array of zeros but for the first entries along each axis."""
+    """Pad `values` with zeros, at the end of each axis, to `shape`."""
     return jnp.pad(values, [(0, whole - part) for whole, part in zip(shape, values.shape, strict=True)])

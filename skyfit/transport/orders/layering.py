@@ -1,4 +1,4 @@
-"""The atmosphere cut into layers for one sun, and how finely streams solve them."""
+"""The atmosphere cut into layers for one sun, and the resolution at which streams solve them."""
 
 from typing import NamedTuple
 
@@ -17,11 +17,11 @@ _HEIGHT_TABLE = 512
 
 
 class Resolution(NamedTuple):
-    """How finely streams solve, all static: `streams` a hemisphere, Fourier `modes`, layers, sweeps.
+    """Resolution of the streams, all static: `streams` per hemisphere, Fourier `modes`, layers, sweeps (`orders`).
 
-    `complete`: delta-M, and all orders that the sweeps do not reach are closed by diffusion; without it the
-    phase functions are cut after their moments and the light is that of `orders` orders, no more. `polarised`: the
-    vector radiance, by its difference from the scalar one.
+    With `complete`, delta-M scales the optics, and diffusion closes all orders that the sweeps do not reach. Without
+    it, the phase functions are cut after their moments, and the light is that of `orders` orders alone. `polarised`:
+    the solution is the vector radiance, found from its difference to the scalar one.
     """
 
     streams: int
@@ -33,28 +33,28 @@ class Resolution(NamedTuple):
     polarised: bool = False
 
     def few(self, stokes: bool) -> "Few":
-        """How finely polarisation is solved: what it adds to the radiance is smooth, and some per cent of the light.
+        """Resolution for polarisation, whose effect on the radiance is smooth and some per cent of the light.
 
-        Haze gives Q and U (`stokes`) more moments and modes than it gives their share of the radiance.
+        In haze, Q and U (`stokes`) need more moments and modes than the effect on the radiance does.
         """
         streams = (3 * self.streams + 3) // 4
         moments, modes = (2 * streams, 2 * streams) if stokes else (streams + 2, max(3, streams // 2))
         return Few(streams, moments, min(self.modes, modes), (2 * self.orders + 1) // 3)
 
     def coarse(self) -> "Resolution":
-        """What shows how light changes with wavelength, at a tenth of the work: the same layers, fewer streams."""
+        """Resolution that shows how light changes with wavelength, at a tenth of the work: same layers, few streams."""
         return self._replace(
             streams=min(self.streams, 6), modes=min(self.modes, 4), orders=min(self.orders, 4), polarised=False
         )
 
     def check(self) -> None:
-        """A `ValueError` for modes that the streams cannot carry."""
-        # no stream at all is refused by its own range
+        """Raise a `ValueError` for more modes than the streams can carry."""
+        # The range of `streams` refuses zero streams.
         if self.streams >= 1 and self.modes > 2 * self.streams:
             raise ValueError(f"`modes` must be at most 2 x `streams`, got {self.modes} for {self.streams}")
 
     def for_phases(self, constituents: tuple[AbstractConstituent, ...]) -> tuple[int, int]:
-        """Moments and modes that these phase functions need: four and three for air alone."""
+        """Numbers of moments and modes that these phase functions need: four and three for air alone."""
         if peaked(constituents):
             return 2 * self.streams, self.modes
         last = max(c.phase.last_degree or 0 for c in constituents if c.phase is not None)
@@ -62,13 +62,13 @@ class Resolution(NamedTuple):
 
 
 def peaked(constituents: tuple[AbstractConstituent, ...]) -> list[tuple[int, AbstractPhase]]:
-    """Places and phase functions of the constituents whose moments go on: delta-M cuts a forward peak off them."""
+    """Indices and phase functions of the constituents without a last moment: delta-M cuts off their forward peak."""
     phases = enumerate(c.phase for c in constituents)
     return [(i, phase) for i, phase in phases if phase is not None and phase.last_degree is None]
 
 
 class Few(NamedTuple):
-    """Streams a hemisphere, moments of the scattering matrix, Fourier modes and sweeps."""
+    """Numbers of streams per hemisphere, moments of the scattering matrix, Fourier modes and sweeps."""
 
     streams: int
     moments: int
@@ -77,10 +77,10 @@ class Few(NamedTuple):
 
 
 class Scaled(NamedTuple):
-    """Optics as the streams see them; moments of scatterers with the factor 2 l + 1.
+    """Optics as the streams use them; the scatterers' moments contain the factor 2 l + 1.
 
-    `matrix`: alpha, gamma, zeta, None where polarisation is left out; `modes`, how many these phase functions need;
-    `unscaled`, all that is attenuated and scattered.
+    `matrix`: moments alpha, gamma, zeta, None without polarisation. `modes`: the number that these phase functions
+    need. `unscaled`: the whole optical depths, before delta-M.
     """
 
     extinction: Float[Array, "constituent wavelength"]
@@ -109,9 +109,10 @@ def scaled_optics(
     wavelength_nm: Float[Array, " wavelength"],
     resolution: Resolution,
 ) -> Scaled:
-    """Optical depths and the first moments of what scatters.
+    """Optical depths of the constituents and the first moments of the scatterers.
 
-    With `resolution.complete`, delta-M: the forward peak beyond the last moment counts as unscattered (Wiscombe 1977).
+    With `resolution.complete`, delta-M scales them: the forward peak beyond the last moment counts as unscattered
+    (Wiscombe 1977).
     """
     depth, (count, modes) = optics(constituents, wavelength_nm), resolution.for_phases(constituents)
     extinction, scattering, moments, matrices = [], [], [], []
@@ -137,14 +138,14 @@ def scaled_optics(
 
 
 def level_heights(constituents: tuple[AbstractConstituent, ...], levels: int) -> Float[Array, " level"]:
-    """Heights (m) of the levels, top to ground, equal steps of the scatterers' mean column share."""
+    """Heights (m) of the levels, top to ground, at equal steps of the scatterers' mean share of column above."""
     scatterers = [c.profile for c in constituents if c.phase is not None]
     table = TOP_OF_AIR * (np.arange(_HEIGHT_TABLE + 1) / _HEIGHT_TABLE) ** 3
     height = jnp.asarray(table, jnp.result_type(float))
     share = jnp.mean(jnp.stack([p.column_above(height) for p in scatterers]), axis=0)
     share = (share - share[-1]) / (share[0] - share[-1])
     target = jnp.asarray(np.arange(levels + 1) / levels, height.dtype)[:, None]
-    # each step of the table counts as far as the share above has not yet fallen to the target within it
+    # Each step of the table counts up to the point where the share above has fallen to the target.
     fall = share[:-1] - share[1:]
     climbed = (share[None, :-1] - target) / jnp.where(fall > 0.0, fall, 1.0)[None]
     return jnp.clip(climbed, 0.0, 1.0) @ jnp.diff(height)
@@ -156,10 +157,10 @@ def depth_above(
     observer: Float[Array, ""],
     extinction: Float[Array, "constituent wavelength"],
 ) -> Float[Array, "layer wavelength"]:
-    """The share of each layer's optical depth that lies above an observer: 1 over one on the ground, to the last bit.
+    """Share of each layer's optical depth that lies above an observer, exactly 1 for an observer on the ground.
 
     **Arguments:** `observer`, height above the ground, m; `extinction`, the optical depths that made the layers.
-    **Returns:** dimensionless, in [0, 1]; within a layer it is linear in what the constituents have there.
+    **Returns:** dimensionless, in [0, 1]; within a layer it is linear in the constituents' columns there.
     """
     above = jnp.stack([c.profile.column_above(layers.height[1:]) for c in constituents])
     upper = jnp.pad(above[:, :-1], ((0, 0), (1, 0)))
@@ -176,9 +177,9 @@ def layered(
     ground_albedo: Float[Array, " wavelength"],
     resolution: Resolution,
 ) -> Layers:
-    """The atmosphere cut into layers for one sun, over a ground of its own."""
+    """Cut the atmosphere into layers for one sun, over a ground of the given albedo."""
     height = level_heights(constituents, resolution.levels)
-    # what little lies above the top level belongs to the first layer
+    # The little air above the top level belongs to the first layer.
     above = jnp.stack([c.profile.column_above(height[1:]) for c in constituents])
     share = jnp.diff(jnp.pad(above, ((0, 0), (1, 0))), axis=1)
     depth = share.T @ scaled.extinction

@@ -16,10 +16,10 @@ from .sweep import sweeps_through
 
 
 class Polarised(NamedTuple):
-    """What polarisation does: sources in each layer, by their moments, and changes of the fluxes at the two ends.
+    """Effects of polarisation: moments of the sources in each layer, and changes of the fluxes at the two ends.
 
-    `radiance`: what it adds to the scalar source; `even`, `odd`: sources of Q and U, the odd ones change sign under a
-    mirror.
+    `radiance` is added to the scalar source. `even` and `odd` are sources of Q and U; the odd ones change sign under
+    reflection.
     """
 
     radiance: Float[Array, "degree mode layer wavelength"]
@@ -32,14 +32,15 @@ class Polarised(NamedTuple):
 def polarise(
     layers: Layers, moments, diffuse: Callable | None, resolution: Resolution, modes: int, stokes: bool
 ) -> Polarised:
-    r"""The polarised field that a scalar one and the beam excite, and what it does to the radiance in turn.
+    r"""Solve the polarised field that the scalar field and the beam excite, and its effect on the radiance.
 
-    With the moments I of the scalar field, D of the vector radiance less it, and E, B of Q and U, scattering makes
-    $D \leftarrow \beta D + \gamma E$, $E \leftarrow \gamma (I + D) + \alpha E$, $B \leftarrow \zeta B$; the beam
-    excites E. D, E and B are smooth: few streams carry them, through the layers of the scalar solution.
+    The moments are I of the scalar field, D of the vector radiance less the scalar one, and E, B of Q and U.
+    Scattering gives $D \leftarrow \beta D + \gamma E$, $E \leftarrow \gamma (I + D) + \alpha E$,
+    $B \leftarrow \zeta B$. The beam excites E. D, E and B are smooth, so few streams carry them through the layers of
+    the scalar solution.
 
-    **Arguments:** `moments` of the scalar field, in the layout of `degree_index`, and their `modes`; `diffuse` of its
-    `diffusion`; `stokes`, whether Q and U are asked for.
+    **Arguments:** `moments`, those of the scalar field, in the layout of `degree_index`; `modes`, their number of
+    modes; `diffuse`, the function from `diffusion` for these layers; `stokes`, whether Q and U are asked for.
     **Source:** the expansion is Siewert's 1982 (Astron. Astrophys. 109, 195) with V neglected; I as a given source is
     ours. Orders as in `solve`; those after the last one are summed as a geometric series.
     """
@@ -50,7 +51,7 @@ def polarise(
     down = np.arccos(cosine)
     zenith = np.stack([down, np.pi - down])
     plain, (r, t) = associated_legendre(zenith, modes, count), spin_legendre(zenith, modes, count)
-    # of D, E and B on I, Q and U
+    # First axis: moments D, E and B. Second axis: I, Q and U.
     to_streams = np.zeros((3, 3, *plain.shape))
     to_streams[0, 0], to_streams[1, 1], to_streams[1, 2], to_streams[2, 1], to_streams[2, 2] = plain, r, t, t, r
     to_moments = jnp.asarray(0.5 * weight * to_streams, dtype)
@@ -80,7 +81,7 @@ def polarise(
         return jnp.stack([beta * difference + gamma * even, gamma * difference + alpha * even, zeta * odd])
 
     def added(field, pair):
-        """The moments with the mean radiance and the vertical flux of some diffuse light added."""
+        """The moments plus the mean radiance and the vertical flux of some diffuse light."""
         return field + first_of(pair[None, :, None], field.shape)
 
     def order(carry, _):
@@ -116,12 +117,12 @@ def polarise(
     (_, _, (before, left), (total, ground_flux, top_flux), spread), _ = jax.lax.scan(
         order, start, None, length=few.orders + 1
     )
-    # the orders after the last one, and what they diffuse to
+    # The orders after the last one, and the diffused light that follows from them.
     share = _share(before, left)
     tail = share[:, None, None, None] * left
     spread = jax.tree.map(lambda v: jnp.expand_dims(1.0 + share[0], range(v.ndim - 1)) * v, spread)
     radiance, even, odd = scattered(added(total + tail, spread.moments))
-    # the aureole's light is polarised anew at each scattering: in all of its modes
+    # Each scattering polarises the aureole's light anew, so `excited` keeps all modes of the scalar field.
     even = excited + first_of(even, excited.shape)
     return Polarised(
         radiance, even, first_of(odd, excited.shape), ground_flux + spread.ground_flux, top_flux + spread.top_flux
@@ -129,9 +130,9 @@ def polarise(
 
 
 def _share(before, last):
-    """What the orders after the last one sum up to, over the last, if each is the same share of the one before."""
+    """Sum of all orders after the last one, over the last, if each is the same share of the one before."""
     axes = (1, 2, 3)
-    # of the size of one, or the squares of faint light vanish
+    # Scaled to order one, because the squares of faint light would underflow.
     peak = jax.lax.stop_gradient(jnp.max(jnp.abs(before), axis=axes))
     unit = (1.0 / jnp.where(peak > 0.0, peak, 1.0))[:, None, None, None]
     size = jnp.sum((unit * before) ** 2, axis=axes)

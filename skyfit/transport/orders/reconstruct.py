@@ -1,4 +1,4 @@
-"""The light that the field in the layers, and the ground under them, send toward an observer."""
+"""Light toward an observer from the field in the layers and from the ground under them."""
 
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ from .sweep import sloped
 class Multiple(NamedTuple):
     """Light of second and higher orders toward an observer, fluxes of diffuse light and beam onto the ground.
 
-    All per unit solar irradiance. What the ground reflects into views down is in the light.
+    All are per unit solar irradiance. `light` contains what the ground reflects into downward views.
     """
 
     light: Float[Array, "stokes direction wavelength"]
@@ -38,11 +38,11 @@ def multiple_scattering(
     resolution: Resolution,
     stokes: bool = False,
 ) -> Multiple:
-    """What an observer gets of second and higher orders of scattering and of the ground.
+    """Light of second and higher orders of scattering and of the ground, as an observer sees it.
 
     **Arguments:** `scene`, whose observer stands anywhere in flat geometry, else on the ground; `scaled`, the optics at
-    some wavelengths, which need not be the scene's; `ground_albedo` at them.
-    **Returns:** a `Multiple`: the radiance alone, or with `stokes` (of a polarised resolution) I, Q and U.
+    some wavelengths, which need not be the scene's; `ground_albedo`, at the same wavelengths.
+    **Returns:** a `Multiple`: the radiance alone, or with `stokes` (and a polarised resolution) I, Q and U.
     """
     layers, field = diffuse_field(constituents, scene, scaled, ground_albedo, resolution, stokes)
     count, modes = layers.moments.shape[0], scaled.modes
@@ -73,7 +73,7 @@ def multiple_scattering(
         light = jnp.where(above_horizon(view.zenith)[None, :, None], light, 0.0)
         return Multiple(light, field.ground_flux, beam)
     share = depth_above(constituents, layers, scene.height, scaled.extinction)
-    # where little comes through thick layers, their slopes may undershoot
+    # The slopes in thick layers may undershoot where little light comes through.
     reflected = layers.ground_albedo * jnp.maximum(field.ground_flux + beam, 0.0) / np.pi
     light = _seen_aloft(jnp.stack(sources), layers.depth, share, reflected, view.zenith)
     return Multiple(light, field.ground_flux, beam)
@@ -85,9 +85,9 @@ def _seen(
     depth: Float[Array, "layer wavelength"],
     airmass: Float[Array, "layer direction"],
 ) -> Float[Array, "direction wavelength"]:
-    """Radiance on the ground of what the layers send out along each view.
+    """Radiance on the ground from the sources in the layers along each view.
 
-    Its tangents are sums over layers of derivatives that are the same for all of them and are formed once.
+    All tangents share the same derivatives per layer. These are computed once and summed over the layers.
     """
     return _along_view(source, *_everywhere(source, depth, airmass))
 
@@ -115,7 +115,7 @@ def _seen_tangent(primals, tangents):
 
 
 def bare_ground(atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
-    """The ground through flat air that scatters nothing, seen from above, per unit solar irradiance, sr^-1."""
+    """Radiance of the ground seen from above through flat air without scattering, per unit solar irradiance, sr^-1."""
     constituents, wavelength = atmosphere.constituents, scene.wavelength_nm
     extinction = optics(constituents, wavelength).extinction
     lit = jnp.maximum(jnp.cos(scene.sun_zenith), 0.0) * transmitted_sun(constituents, scene, extinction, "flat")
@@ -134,10 +134,11 @@ def _seen_aloft(
     reflected: Float[Array, " wavelength"],
     zenith: Float[Array, " direction"],
 ) -> Float[Array, "stokes direction wavelength"]:
-    """Radiance at an observer over whom `share` of each layer lies, on a flat Earth.
+    """Radiance at an observer on a flat Earth who has `share` of each layer overhead.
 
-    Up: of the layers above. Down: of those below and of the ground, which is not polarised. Sources are linear within
-    each layer, as for the observer on the ground; of the layer about the observer each view has its part.
+    Views up see the layers above. Views down see the layers below and the ground, whose light is not polarised.
+    Sources are linear within each layer, as for the observer on the ground. Each view crosses only its own part of the
+    layer in which the observer is.
     """
     climbs = above_horizon(zenith)[None, :, None]
     airmass = 1.0 / jnp.maximum(jnp.abs(jnp.cos(zenith)), MIN_COSINE)
@@ -145,13 +146,13 @@ def _seen_aloft(
     above = share[:, None] + jnp.zeros_like(slant)
     part = jnp.where(climbs, above, 1.0 - above)
     slant = part * slant
-    # between the observer and each layer
+    # Optical depth between the observer and each layer.
     total = jnp.cumsum(slant, axis=0)
     between = jnp.where(climbs, total[-1:] - total, total - slant)
     first, second = phi_functions(slant)
     weight = slant * jnp.exp(-between)
     lean = weight * (0.5 * first - second) * part
-    # the step of a source is from the top down: of the light that goes up, the other way round
+    # `step` is the change of a source from top to bottom. Upward light meets it the other way round.
     tilt = weight * first * jnp.where(climbs, 0.5 * (above - 1.0), 0.5 * above) + jnp.where(climbs, -lean, lean)
     step = jnp.stack([sloped(source, depth[:, None]) for source in sources])
     light = jnp.sum((weight * first)[None] * sources + tilt[None] * step, axis=1)

@@ -36,48 +36,52 @@ from .spectrum import interpolated, spectral_nodes, SpectralNodes
 from .streams import diffuse_field
 
 
-# nm, where a phase function is judged, and the moment beyond the streams from which on they miss some of it
+# Wavelength (nm) at which `doubt` judges a phase function, and the least moment beyond the streams that it reports.
 _GREEN, _FORWARD = np.array([550.0]), 0.05
 
 
 class OrdersOfScattering(AbstractSolver):
     r"""All orders of scattering and a Lambertian ground, with exact single scattering.
 
-    Fourier modes in azimuth, Gauss streams in zenith angle, delta-M truncation of the phase function; the
-    multiple-scattering source is turned into the exact view directions by its Legendre moments, single scattering uses
-    the whole phase function (Nakajima & Tanaka's TMS), and the aureole is corrected to the second order (their IMS).
-    What the sweeps leave over is closed by diffusion after each of them, so that no light is lost however thick the
-    haze and few the sweeps; their steps are weighted (`streams.relaxation`).
+    The method has Fourier modes in azimuth, Gauss streams in zenith angle and delta-M truncation of the phase function.
+    Legendre moments turn the multiple-scattering source into the exact view directions. Single scattering uses the
+    whole phase function (Nakajima & Tanaka's TMS), and the aureole is corrected to the second order (their IMS). After
+    each sweep diffusion closes what is left over, so that no light is lost however thick the haze and few the sweeps.
+    The steps of the sweeps are weighted (`streams.relaxation`).
 
     `streams` per hemisphere; `modes` in azimuth; `levels` of the vertical grid, dense in haze; `orders`,
-    sweeps through it; `nodes` of the single-scattering integral; `spectral_nodes`, wavelengths at which
-    multiple scattering is solved over a black ground, and half as many over a lit one, where a spectrum has more;
-    coarse streams complete it (`spectrum.interpolated`). None: as many as keep it within some 1e-3 from 300 to 1100 nm,
-    where views are so few that this saves time, else all; 0: all;
-    `geometry` "spherical": curved paths for beam and view, and diffuse streams that change their local angle
-    from layer to layer, under a sun whose local zenith angle is the observer's for them; or "flat". `polarised`: with
-    linear polarisation, in the radiance and for `stokes`: 1.2 times the scalar solver's time, its Jacobian 1.4 times.
+    sweeps through it; `nodes` of the single-scattering integral.
+    `spectral_nodes`: the number of wavelengths at which multiple scattering is solved over a black ground, where a
+    spectrum has more; half as many are solved over a lit one. Coarse streams complete the spectrum
+    (`spectrum.interpolated`). 0 solves all wavelengths. None takes as many as keep the light within some 1e-3 from 300
+    to 1100 nm where views are so few that this saves time, else all.
+    `geometry`: "flat" or "spherical". Spherical paths of beam and view are curved, and diffuse streams change their
+    local angle from layer to layer; for them the sun's local zenith angle is everywhere that of the observer.
+    `polarised`: include linear polarisation in the radiance and answer `stokes`. It takes 1.2 times the scalar solver's
+    time, its Jacobian 1.4 times.
 
-    The observer stands on the ground, or in flat geometry anywhere from it to space: the same field is looked at from
-    within, up and down. `fluxes` are those on the ground for all of them.
+    The observer stands on the ground, or in flat geometry anywhere from it to space. All views, up and down, look into
+    the same field. `fluxes` are those on the ground for every observer.
 
-    **Valid:** flat: sun and view zenith to 85 degrees. Haze of optical depth 3 and asymmetry parameter 0.8 is within
-    0.4 % of DISORT with 48 streams, 0.85 within 1.3 %, haze of optical depth 1 and 0.88 within 2.2 % (`fine` 0.2 %;
-    suns at 40 and 60 degrees). Optical depth 50 is 2 % off (`normal`), more where little light is left; where haze
-    that absorbs leaves less than the errors of the streams, and under haze that scatters backward (asymmetry below
-    -0.8), views may be black.
-    Spherical: sun and view zenith to 80 within 1 % beyond the noise of the Monte Carlo, at 85 within 5 %, the sun at 89
-    within 10 %, in the median 3. Suns beyond 85 degrees (flat) and 90 (spherical) are a `ValueError`, the last five
-    degrees of each a `LowSunWarning`.
-    All this is of scalar light. What polarisation does is missing from it: up to 8 % of a clear sky at 383 nm and 1.4 %
-    at 710 nm, of either sign, 19 % in air of optical depth 1 under a low sun. `polarised`, flat: I, and Q and U over I,
-    within 0.5 % (`fine` 0.02 %) of Natraj et al. 2009 for air of optical depths to 1, sun and view cosines from 0.1,
-    and within 0.4 % of sasktran2 with haze. Spherical: what polarisation does to I within 0.2 % of sasktran2's, Q and U
-    within 1.2 % of I, at 75 degrees. V is neglected (`Stokes`).
-    Aloft (flat, polarised, `fine`): I, and Q and U over I, within 0.02 % and three standard errors of MYSTIC at the
+    **Valid:** flat: sun and view zenith to 85 degrees. Haze of optical depth 3 is within 0.4 % of DISORT with 48
+    streams for an asymmetry parameter of 0.8, and within 1.3 % for 0.85. Haze of optical depth 1 and asymmetry
+    parameter 0.88 is within 2.2 % (`fine` 0.2 %; suns at 40 and 60 degrees). At optical depth 50 the light is 2 % off
+    (`normal`), more where little is left. Views may be black where absorbing haze leaves less light than the errors of
+    the streams, and under haze that scatters backward (asymmetry parameter below -0.8).
+    Spherical: sun and view zenith to 80 degrees are within 1 % beyond the noise of the Monte Carlo, at 85 within 5 %,
+    and the sun at 89 within 10 % (median 3 %). Suns beyond 85 degrees (flat) and 90 (spherical) raise a `ValueError`;
+    the last five degrees of each give a `LowSunWarning`.
+    All this holds for scalar light. Scalar light misses the effect of polarisation: up to 8 % of a clear sky at 383 nm
+    and 1.4 % at 710 nm, of either sign, and 19 % in air of optical depth 1 under a low sun.
+    `polarised`, flat: I, and Q and U over I, are within 0.5 % (`fine` 0.02 %) of Natraj et al. 2009 for air of optical
+    depths to 1 and sun and view cosines from 0.1, and within 0.4 % of sasktran2 with haze. Spherical, at 75 degrees:
+    the effect of polarisation on I is within 0.2 % of sasktran2's, and Q and U are within 1.2 % of I. V is neglected
+    (`Stokes`).
+    Aloft (flat, polarised, `fine`): I, and Q and U over I, are within 0.02 % and three standard errors of MYSTIC at the
     bottom, inside and at the top of five atmospheres (Emde et al. 2015; experiments/validation/iprt.py). `normal` is
-    within 0.1 %, but where gas that absorbs much lies above what scatters: 3 % at 320 nm and 85 degrees from straight
-    down above the ozone; and where hardly any air is left above, views up from 100 km are 9 % of their 1e-7 off.
+    within 0.1 % but for two cases. Where strongly absorbing gas lies above the scatterers it is 3 % off (320 nm, 85
+    degrees from straight down, above the ozone). Where hardly any air is left above, it is 9 % off (views up from
+    100 km, of radiance 1e-7).
     **Source:** Nakajima & Tanaka 1988, JQSRT 40, 51; Wiscombe 1977, J. Atmos. Sci. 34, 1408;
     Lenoble et al. 2007, JQSRT 107, 479 (successive orders).
     """
@@ -97,17 +101,17 @@ class OrdersOfScattering(AbstractSolver):
 
     @classmethod
     def draft(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
-        """Flat: 0.05 % in the median, to 2 % at 85 degrees."""
+        """Flat: the median error is 0.05 %, the largest 2 % at 85 degrees."""
         return cls(streams=6, modes=12, levels=16, orders=5, nodes=16, geometry=geometry, polarised=polarised)
 
     @classmethod
     def normal(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
-        """Flat: 0.01 % in the median, to 0.5 % at 85 degrees; spherical 0.3 %."""
+        """Flat: the median error is 0.01 %, the largest 0.5 % at 85 degrees; spherical: 0.3 %."""
         return cls(geometry=geometry, polarised=polarised)
 
     @classmethod
     def fine(cls, geometry: Geometry = "spherical", polarised: bool = False) -> "OrdersOfScattering":
-        """The reference of the house: flat within 0.1 %."""
+        """The reference of this package: flat within 0.1 %."""
         return cls(
             streams=16,
             modes=32,
@@ -132,7 +136,8 @@ class OrdersOfScattering(AbstractSolver):
         return POLARISED_ERROR if self.polarised else SCALAR_ERROR
 
     def doubt(self, atmosphere: Atmosphere) -> str | None:
-        # against DISORT with 48 streams: 1.2 % at 0.07 (asymmetry 0.85, optical depth 3), 2.2 % at 0.13 (0.88, 1)
+        # Error against DISORT with 48 streams: 1.2 % where this moment is 0.07 (asymmetry 0.85, optical depth 3), 2.2 %
+        # where it is 0.13 (0.88, 1).
         phases = [phase for _, phase in peaked(atmosphere.constituents)]
         count = 2 * self.streams
         left = [float(np.max(np.asarray(phase.moments(count + 1, as_float(_GREEN))[count]))) for phase in phases]
@@ -149,7 +154,7 @@ class OrdersOfScattering(AbstractSolver):
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Radiance by all orders of scattering, W m^-2 sr^-1 nm^-1.
 
-        Aloft views down end on the ground, whose reflected light is in them; on the ground they are black.
+        Downward views from aloft contain the light that the ground reflects; downward views on the ground are black.
         """
         check_scene(self, atmosphere, scene)
         check_observer(self, scene)
@@ -158,7 +163,7 @@ class OrdersOfScattering(AbstractSolver):
     def stokes(self, atmosphere: Atmosphere, scene: Scene) -> Stokes:
         """Radiance and linear polarisation, W m^-2 sr^-1 nm^-1, of a solver with `polarised`.
 
-        Q and U take more modes than `radiance` does, whose last digits (1e-4) may differ from those here.
+        Q and U take more modes, so the radiance here may differ by 1e-4 from `radiance`.
         """
         check_scene(self, atmosphere, scene)
         check_observer(self, scene)
@@ -179,8 +184,8 @@ class OrdersOfScattering(AbstractSolver):
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
         """Irradiance on the ground, wherever the observer stands: the direct beam, the sky, the ground's reflection.
 
-        The delta-M beam contains the forward peak; it is counted as direct light only as far as the true
-        transmittance goes, the rest as diffuse.
+        The delta-M beam contains the forward peak. The part of it given by the true transmittance counts as direct
+        light, the rest as diffuse.
         """
         constituents = atmosphere.constituents
         extinction = optics(constituents, scene.wavelength_nm).extinction
@@ -192,7 +197,7 @@ class OrdersOfScattering(AbstractSolver):
             resolution = self._resolution()
             scaled = scaled_optics(constituents, scene.wavelength_nm, resolution)
             layers, field = diffuse_field(constituents, scene, scaled, reflectance, resolution)
-            # where little comes through thick layers, their slopes may undershoot
+            # The slopes in thick layers may undershoot where little light comes through.
             diffuse = jnp.maximum(field.ground_flux + sun * layers.beam[-1] - direct, 0.0)
             top = field.top_flux * scene.solar_irradiance
         up = reflectance * (direct + diffuse)
@@ -211,10 +216,10 @@ def streamed_light(
     few: SpectralNodes | None,
     stokes: bool = False,
 ) -> Float[Array, "stokes direction wavelength"]:
-    """Exact single scattering and what streams make of the higher orders and the ground, W m^-2 sr^-1 nm^-1.
+    """Exact single scattering plus higher orders and ground as the streams solve them, W m^-2 sr^-1 nm^-1.
 
-    **Arguments:** `nodes` of the single-scattering integral; `few`, wavelengths at which the streams solve, None for
-    all of the scene's. **Returns:** the radiance alone, or with `stokes` I, Q and U.
+    **Arguments:** `nodes` of the single-scattering integral; `few`, counts of wavelengths at which the streams solve,
+    None for all of the scene's. **Returns:** the radiance alone, or with `stokes` I, Q and U.
     """
     constituents = atmosphere.constituents
     wavelength = scene.wavelength_nm
@@ -227,7 +232,7 @@ def streamed_light(
     dimmed = scaled.unscaled._replace(extinction=scaled.extinction)
     single = single_scattering(constituents, scene, dimmed, nodes, resolution.geometry, stokes)
     if resolution.complete and peaked(constituents):
-        # a correction of the size of what it corrects is none
+        # A correction as large as the light that it corrects would be meaningless.
         excess = aureole_excess(constituents, scene, scaled, resolution.geometry)
         excess = jnp.clip(excess, -0.5 * single[0], 0.5 * single[0])
         single = jnp.concatenate([single[:1] - excess[None], single[1:]])
@@ -237,6 +242,6 @@ def streamed_light(
     else:
         multiple = interpolated(atmosphere, scene, resolution, few, stokes)
     light = single + multiple
-    # no radiance is negative: where next to none is left, or haze scatters far backward, streams may be off by more
+    # The streams' error may exceed the light where almost none is left or haze scatters far backward.
     dark = jnp.asarray(np.array([0.0, -np.inf, -np.inf])[: light.shape[0], None, None], light.dtype)
     return jnp.where(light < dark, dark, light) * scene.solar_irradiance[None, None]

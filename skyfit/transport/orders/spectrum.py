@@ -14,38 +14,40 @@ from .layering import Resolution, scaled_optics
 from .reconstruct import Multiple, multiple_scattering
 
 
-# albedo of the second ground at which streams solve; light over any other follows from the two
+# Albedo of the lit ground. Streams solve over it and over a black one; light over any other follows from the two.
 _LIT = 0.8
-# nodes over a black ground per unit of ln(wavelength), less one: 8 from 380 to 780 nm, 16 from 300 to 1100 nm
+# Nodes over a black ground: this many per unit of ln(wavelength), less one. 8 from 380 to 780 nm, 16 from 300 to 1100.
 _DENSITY = 12.5
-# over a black ground; over a black and a lit one, where wavelengths are traced, as for 300 to 1100 nm
+# Least number of nodes over a black ground. Numbers over a black and a lit one for 300 to 1100 nm, which are the most
+# and serve where wavelengths are traced.
 _LEAST, _MOST = 4, (16, 8)
-# with F nodes of W wavelengths and V views, a quarter of the time is saved where V (W + 2 F) is under this times
-# (W - 1.6 F): coarse streams look at all wavelengths over two grounds, which costs as much a view as full ones do
+# With F nodes, W wavelengths and V views, a quarter of the time is saved where V (W + 2 F) is below this times
+# (W - 1.6 F). Coarse streams look at all wavelengths over two grounds, which costs as much per view as full streams.
 _VIEWS = 370.0
-# of the diffuse light's mean radiance: coarse streams may undershoot where there is little light, and to which light is
-# drawn where they do; what counts as no miss of an interpolant
+# Shares of the diffuse light's mean radiance: the floor of coarse light, which may undershoot where there is little,
+# and the value to which light is drawn there. Last, the least error of an interpolant.
 _LEAST_SHARE, _DRAWN, _LEAST_MISSED = 1e-3, 1.0, 1e-6
-# ratio of full to coarse streams; further apart, neither is right
+# Largest ratio of full to coarse streams. If they are further apart, neither is right.
 _FAR = 1e3
-# sr^-1, per unit irradiance; what is darker counts as black. Its square is still a float32
+# Radiance, sr^-1 per unit irradiance, below which light counts as black. Its square is still a float32.
 _DARK = 1e-16
 
 
 class SpectralNodes(NamedTuple):
-    """Counts of wavelengths, static, at which streams solve over a black ground and over a lit one."""
+    """Numbers of wavelengths, static, at which streams solve over a black ground and over a lit one."""
 
     black: int
     lit: int
 
 
 def spectral_nodes(atmosphere: Atmosphere, scene: Scene, asked: int | None) -> SpectralNodes | None:
-    """How many wavelengths of a spectrum streams solve; None: each of the scene's.
+    """Numbers of wavelengths of a spectrum that streams solve; None for each of the scene's.
 
-    Each, where that costs about as much or less, and where a constituent is known at the scene's wavelengths alone or
-    absorbs in bands low in the air, which coarse streams get wrong by per cents.
+    Streams solve each wavelength where that costs about as much or less. They also do where a constituent is known at
+    the scene's wavelengths alone, or absorbs in bands low in the air: coarse streams get these wrong by per cents.
 
-    **Arguments:** `asked` for over a black ground, 0 for each, None for as many as the range of wavelengths needs.
+    **Arguments:** `asked`, the number over a black ground, 0 for each wavelength, None for as many as the range of
+    wavelengths needs.
     """
     count = scene.wavelength_nm.shape[-1]
     if asked == 0 or not all(c.factors_out for c in atmosphere.constituents):
@@ -64,11 +66,11 @@ def spectral_nodes(atmosphere: Atmosphere, scene: Scene, asked: int | None) -> S
 def interpolated(
     atmosphere: Atmosphere, scene: Scene, resolution: Resolution, few: SpectralNodes, stokes: bool
 ) -> Float[Array, "stokes direction wavelength"]:
-    r"""Multiple scattering at all wavelengths of a scene, by the ratio of streams to coarse streams at a few.
+    r"""Multiple scattering at all wavelengths of a scene, by the ratio of full to coarse streams at a few.
 
-    Ozone, ground and haze of each wavelength are in the coarse streams; their ratio to the full ones is smooth. Over a
-    Lambertian ground of albedo A the light is $(1 - y) L(0) + y L(A_1)$ with
-    $y = \frac{A (1 - A_1 s)}{A_1 (1 - A s)}$, s the spherical albedo of the atmosphere: any ground is exact.
+    The coarse streams contain ozone, ground and haze of each wavelength, so the ratio is smooth. Over a Lambertian
+    ground of albedo A the light is $(1 - y) L(0) + y L(A_1)$ with $y = \frac{A (1 - A_1 s)}{A_1 (1 - A s)}$, where s is
+    the spherical albedo of the atmosphere. This is exact for any ground.
 
     **Returns:** as `multiple_scattering`'s `light`, per unit solar irradiance.
     **Source:** low-streams interpolation, O'Dell 2010, J. Geophys. Res. 115, D10206; the ground: Chandrasekhar 1950.
@@ -81,7 +83,7 @@ def interpolated(
         return jnp.exp(0.5 * (low + high) + 0.5 * (high - low) * unit)
 
     def spread(at_nodes, to):
-        """What is known at the nodes of one ground, at other wavelengths."""
+        """Interpolate values at the nodes of one ground to other wavelengths."""
         place = (2.0 * jnp.log(to) - low - high) / jnp.maximum(high - low, 1e-9)
         return at_nodes @ chebyshev_weights(place, at_nodes.shape[-1]).T
 
@@ -111,17 +113,17 @@ def interpolated(
     over_black, over_lit = cut(jnp.concatenate([solved.light[0], _flux(solved)[None]]), few.black, few.lit)
 
     def by(reference):
-        """All wavelengths over both grounds by one reference, and how far a smaller interpolant is off at the nodes."""
+        """Light at all wavelengths over both grounds by one reference, and the error of a smaller interpolant."""
         dark, dark_black, dark_lit, bright, _, bright_lit = cut(reference, *sizes, *sizes)
         ratio = _log_ratio(over_black, dark_black)
-        # of what the ground adds the ratio is smoother still
+        # What the ground adds to the ratio is smoother still.
         more = _log_ratio(over_lit, bright_lit) - spread(ratio, lit)
         everywhere = spread(ratio, wavelength)
         found_black = jnp.where(_any_light(over_black), dark * _exp(everywhere), 0.0)
         found_lit = jnp.where(_any_light(over_lit), bright * _exp(everywhere + spread(more, wavelength)), 0.0)
         return found_black, found_lit, _missed(ratio) + _missed(more)
 
-    # where coarse streams swing about no light at all, that direction's ratio to the mean light is the smoother one
+    # In directions where coarse streams oscillate about zero, the ratio to the mean light is smoother.
     own, mean = (by(light) for light in _positive(coarse, _air_seen(atmosphere, scene)))
     off, other = (jnp.maximum(found[2], _LEAST_MISSED) ** 2 for found in (own, mean))
     rest = off / (off + other)
@@ -142,7 +144,7 @@ def _flux(found: Multiple):
 
 
 def _air_seen(atmosphere: Atmosphere, scene: Scene) -> Float[Array, " direction"] | None:
-    """The share of what scatters that each view has before it, at least; None on the ground, where it is all."""
+    """Largest share of a scatterer above the observer for views up, 1 for views down; None on the ground."""
     if scene.height is None:
         return None
     left = [c.profile.column_above(scene.height) for c in atmosphere.constituents if c.phase is not None]
@@ -150,14 +152,14 @@ def _air_seen(atmosphere: Atmosphere, scene: Scene) -> Float[Array, " direction"
 
 
 def _positive(found: Multiple, seen: Float[Array, " direction"] | None):
-    """Radiances and, as the last row, the flux onto the ground, as they are and drawn to the diffuse light's mean.
+    """Radiances and, as the last row, the flux onto the ground: with a floor, and drawn to the diffuse light's mean.
 
-    None of the first is under a share of that mean, none of the second far under it.
+    The floor of the first is a share of that mean. The second are never far below it.
     """
     mean = (found.diffuse / np.pi)[None]
     if seen is not None:
         mean = jnp.pad(seen, (0, 1), constant_values=1.0)[:, None] * mean
-    # a root of nothing has no slope
+    # The square root below has no derivative at 0.
     mean = jnp.maximum(mean, _DARK)
     light = jnp.concatenate([found.light[0], _flux(found)[None]])
     drawn = 0.5 * (light + jnp.sqrt(light**2 + (2.0 * _DRAWN * mean) ** 2))
@@ -165,10 +167,10 @@ def _positive(found: Multiple, seen: Float[Array, " direction"] | None):
 
 
 def _missed(ratio: Float[Array, "row node"]) -> Float[Array, "row 1"]:
-    """How far the interpolant without the last quarter of its coefficients is off at the nodes, at most."""
+    """Largest error at the nodes of the interpolant without the last quarter of its coefficients."""
     count = ratio.shape[-1]
     if count == 1:
-        # of one node nothing smaller is known
+        # A single node has no smaller interpolant.
         return jnp.zeros_like(ratio)
     at = jnp.asarray(chebyshev_nodes(count), ratio.dtype)
     kept = ratio @ chebyshev_weights(at, count, count - max(1, count // 4)).T
@@ -184,11 +186,11 @@ def _log_ratio(found, reference):
 
 
 def _exp(ratio):
-    # what is interpolated between far ratios must not run away
+    # Interpolation between far ratios must not run away.
     return jnp.exp(jnp.clip(ratio, -math.log(_FAR), math.log(_FAR)))
 
 
 def _share(part, whole):
-    """`part` over `whole`; where there is no light, none."""
+    """`part` over `whole`; 0 where `whole` is dark."""
     dark = jnp.abs(whole) <= _DARK
     return jnp.where(dark, 0.0, part / jnp.where(dark, 1.0, whole))

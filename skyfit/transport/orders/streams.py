@@ -17,14 +17,14 @@ from .polarisation import polarise, Polarised
 from .sweep import sweeps_through
 
 
-# optical depth of layers that keep half of the light scattered in them
+# Optical depth of layers that keep half of the light scattered in them.
 _SPREAD = 0.65
 
 
 class Field(NamedTuple):
     """The diffuse light summed over all orders: moments of its mean in each layer, fluxes at the two ends.
 
-    `moments` are those of the scalar solution; `polarised`, what polarisation does, is in the fluxes.
+    `moments` are those of the scalar solution. The fluxes contain the effect of polarisation, `polarised`.
     """
 
     moments: Float[Array, "parity half mode layer wavelength"]
@@ -34,7 +34,7 @@ class Field(NamedTuple):
 
 
 def degree_index(count: int, modes: int) -> np.ndarray:
-    """Degrees l `[parity, half, mode]`: those of l + m even first, whose harmonics are even in the cosine."""
+    """Degrees l `[parity, half, mode]`: first those with even l + m, whose harmonics are even in the cosine."""
     half, mode = np.arange(count // 2)[None, :, None], np.arange(modes)[None, None, :]
     return 2 * half + (mode + np.arange(2)[:, None, None]) % 2
 
@@ -45,10 +45,10 @@ def harmonics(zenith, count: int, modes: int) -> Float[Array | np.ndarray, "pari
 
 
 def solve(layers: Layers, diffuse: Callable | None, resolution: Resolution, modes: int) -> Field:
-    """The diffuse field: sweeps, each followed by the diffusion of what it left over (`diffuse`, None: by nothing).
+    """Solve the diffuse field by sweeps, each followed by the diffusion of its residual (`diffuse`, None for none).
 
-    The residual is what a sweep finds beyond the field so far. Each step of the field is a weighted sum of it and of
-    the step before (`relaxation`).
+    The residual is the light that a sweep finds beyond the field so far. Each step of the field is a weighted sum of
+    the residual and of the step before (`relaxation`).
 
     **Source:** successive orders as in Lenoble et al. 2007, JQSRT 107, 479; sources by conservative means over
     the layers; diffusion synthetic acceleration: Alcouffe 1977, Nucl. Sci. Eng. 64, 344.
@@ -79,7 +79,7 @@ def solve(layers: Layers, diffuse: Callable | None, resolution: Resolution, mode
         return jnp.stack([even + odd, even - odd])
 
     def added(moments, pair):
-        """The moments with the mean radiance and the vertical flux of some diffuse light added."""
+        """The moments plus the mean radiance and the vertical flux of some diffuse light."""
         return moments + first_of(pair[:, None, None], moments.shape)
 
     def order(carry, factors):
@@ -94,7 +94,7 @@ def solve(layers: Layers, diffuse: Callable | None, resolution: Resolution, mode
         fluxes = jax.tree.map(jnp.add, fluxes, tuple(flux))
         return (emission, jnp.zeros_like(beam_flux), moments + step, residual - step, step, fluxes, spread), None
 
-    # the beam, exponential within each layer
+    # Light scattered from the beam, which is exponential within each layer.
     sun = harmonics(layers.sun_zenith, count, modes) * mode_weight[None, None]
     once = on_streams(sun[..., None, None] * phase) * layers.beam[None, :-1, None, None]
     beam_flux = jnp.maximum(jnp.cos(layers.sun_zenith), 0.0) * layers.beam[-1]
@@ -103,18 +103,18 @@ def solve(layers: Layers, diffuse: Callable | None, resolution: Resolution, mode
     factors = relaxation(layers, resolution, modes)
     start = sweeps.of_beam(once, layers.beam_depth), beam_flux, none, none, none, (dark, dark), nothing
     (_, _, moments, held, _, fluxes, spread), _ = jax.lax.scan(order, start, factors)
-    # the last step is taken whole: light that was scattered is all counted
+    # The last step takes the whole residual, so that all light that was scattered counts.
     return Field(added(moments + held, spread.moments), fluxes[0] + spread.ground_flux, fluxes[1] + spread.top_flux)
 
 
 def relaxation(layers: Layers, resolution: Resolution, modes: int) -> Float[Array, "order factor mode wavelength"]:
-    r"""The weights of the residual and of the step before in each step of `solve`: Chebyshev's semi-iteration.
+    r"""Weights of the residual and of the step before in each step of `solve`, by Chebyshev's semi-iteration.
 
-    A sweep multiplies the missing light by eigenvalues between 0 (or a negative moment's) and $\rho$. The weights make
-    the largest value of the polynomial in them as small as possible; a plain sum of orders leaves $\rho^n$. $\rho$ of
-    an azimuthal mode is the largest moment of the scattering that it carries times the share of light that stays in
-    layers of that optical depth. In the first mode, where diffusion follows each sweep, half the second moment stands
-    for it. Without `resolution.complete` the sweeps are plain, one order each.
+    A sweep multiplies the missing light by eigenvalues between 0 (or that of a negative moment) and $\rho$. The weights
+    minimise the largest value of the polynomial in these eigenvalues; a plain sum of orders leaves $\rho^n$. For an
+    azimuthal mode, $\rho$ is the largest moment of the scattering that the mode carries, times the share of light that
+    stays in layers of that optical depth. In the first mode, where diffusion follows each sweep, half the second moment
+    replaces the largest. Without `resolution.complete` the sweeps are plain, one order each.
 
     **Source:** Golub & Varga 1961, Numer. Math. 3, 147. The share: the largest eigenvalue of isotropic scattering in a
     slab, within 0.05.
@@ -127,7 +127,7 @@ def relaxation(layers: Layers, resolution: Resolution, modes: int) -> Float[Arra
     carried = np.where(degree >= np.arange(modes)[:, None], 1.0, 0.0)
     carried[0] = np.where(degree == 2, 0.5, 0.0)
     carried = jnp.asarray(carried, dtype)[:, :, None]
-    # linear sources are no longer close to the light within layers that are thick themselves: plain sweeps there
+    # Linear sources are not close to the light within layers that are thick themselves, so sweeps are plain there.
     thickness = jnp.sum(layers.depth, axis=0)
     stays = (thickness / (thickness + _SPREAD) / (1.0 + jnp.max(layers.depth, axis=0) ** 2))[None]
     low = stays * jnp.min(carried * jnp.minimum(jnp.min(moments, axis=1), 0.0)[None], axis=1)
@@ -148,7 +148,7 @@ def diffuse_field(
     resolution: Resolution,
     stokes: bool = False,
 ) -> tuple[Layers, Field]:
-    """The layers and the light in them, over a ground of this albedo."""
+    """The layers and the diffuse field in them, over a ground of the given albedo."""
     layers = layered(constituents, scene, scaled, ground_albedo, resolution)
     diffuse = None
     if resolution.complete:

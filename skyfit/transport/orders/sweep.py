@@ -1,4 +1,4 @@
-"""Sweeps through layers: radiance on discrete streams, down and up, of sources that are linear within each layer."""
+"""Sweeps through layers: radiance on discrete streams, down and up, from sources that are linear within each layer."""
 
 from typing import NamedTuple
 
@@ -13,10 +13,10 @@ from ..contract import Geometry
 
 
 def sloped(source: Float[Array, "layer ..."], depth: Float[Array, "layer ..."]) -> Float[Array, "layer ..."]:
-    """Difference of a source between the last and the first end of each layer, by its neighbours' means.
+    """Change of a source from the first to the last end of each layer, from the means of its neighbours.
 
-    `depth` has the rank of `source`. Flattened in thick layers: there a straight line through means would turn
-    negative.
+    `depth` has the rank of `source`. The change is reduced in thick layers, where a straight line through means would
+    turn negative.
     """
     near = 0.5 * (depth[1:] + depth[:-1])
     one_sided = np.arange(depth.shape[0] - 1) == 0
@@ -30,11 +30,12 @@ def sloped(source: Float[Array, "layer ..."], depth: Float[Array, "layer ..."]) 
 
 
 class Sweeps(NamedTuple):
-    """How light passes and leaves layers, in the order in which it meets them; from `sweeps_through`.
+    """How light passes and leaves layers, in the order in which it meets them; made by `sweeps_through`.
 
-    Axes of radiance and sources: direction of travel (down, up), layer from the top, mode, stream, wavelength; those
-    of modes may stand for other quantities too. `through`, `emits`, `leans`: what leaves a layer and its mean, of what
-    enters it, of its source and of the source's step along the way. `turns` interpolates to other local angles.
+    Axes of radiance and sources: direction of travel (down, up), layer from the top, mode, stream, wavelength. The mode
+    axis may hold other quantities too. `through`, `emits` and `leans` are pairs: their contribution to the light that
+    leaves a layer and to the mean light in it. `through` weights the light that enters, `emits` the layer's source,
+    `leans` the step of that source along the way. `turns` interpolates to other local angles.
     """
 
     slant: Float[Array, "layer direction stream wavelength"]
@@ -45,13 +46,13 @@ class Sweeps(NamedTuple):
     leans: Float[Array, "layer pair direction stream wavelength"]
 
     def of_source(self, source):
-        """What a source adds to the light that leaves each layer and to its mean there, for `run`."""
+        """Contribution of a source to the light that leaves each layer and to its mean there, for `run`."""
         met = _as_met(source)
         step = sloped(met, self.thickness)
         return self.emits[:, :, :, None] * met[:, None] + self.leans[:, :, :, None] * step[:, None]
 
     def of_beam(self, source, beam_depth: Float[Array, "layer wavelength"]):
-        """As `of_source`, of a source that falls exponentially by `beam_depth` from its value at each layer's top."""
+        """As `of_source`, for a source that falls exponentially by `beam_depth` from its value at each layer's top."""
         beam = _both_as_met(beam_depth)[:, :, None]
         down, up = self.slant[:, 0], self.slant[:, 1]
         mean = jnp.stack([exp_mean(beam[:, 0] + jnp.zeros_like(down), down), phi1(beam[:, 1] + up)], axis=1)
@@ -59,12 +60,12 @@ class Sweeps(NamedTuple):
         return weights[:, :, :, None] * _as_met(source)[:, None]
 
     def run(self, emission):
-        """Radiance that leaves the last layer, and its mean in each layer from the top."""
+        """Radiance that leaves the last layer, and its mean in each layer from the top, down and up."""
         last, mean = self._run(jnp.zeros_like(emission[0, 0]), emission)
         return last, mean[:, 0], mean[::-1, 1]
 
     def shine(self):
-        """What leaves the top, and the mean upward radiance, of a ground that reflects a unit of flux."""
+        """Radiance at the top, and mean upward radiance in each layer, from a ground that reflects a unit of flux."""
         start = jnp.asarray(np.array([0.0, 1.0 / np.pi])[:, None, None, None], self.slant.dtype)
         last, mean = self._run(start + jnp.zeros_like(self.slant[0, :, None]), None)
         return last[1, 0], mean[::-1, 1]
@@ -110,5 +111,5 @@ def _as_met(array):
 
 
 def _both_as_met(array):
-    """As `_as_met`, of what is the same both ways."""
+    """As `_as_met`, for an array that is the same in both directions."""
     return _as_met([array, array])

@@ -23,14 +23,15 @@ from .medium import completed, Medium, medium_of, per_metre
 from .transfer import FINER_LEVELS, FINER_SUNS, orders_of, Solution, tabled
 
 
-# parts of views, where they begin and end
+# Sunlit parts of views: distances (m) where they begin and end.
 Lit = Sequence[tuple[Float[Array, " direction"], Float[Array, " direction"]]]
 
 
 class SphericalField(eqx.Module):
     """The light of one atmosphere, solved by `Spherical.prepare`.
 
-    `suns_deg`, the zenith angles between which suns, and `highest`, the height (m) to which observers are answered.
+    The field is valid for suns between the two zenith angles `suns_deg` and for observers up to the height `highest`,
+    m.
     """
 
     atmosphere: Atmosphere
@@ -43,21 +44,21 @@ class SphericalField(eqx.Module):
 
     @property
     def left_over(self) -> Float[Array, " wavelength"]:
-        """About how much light the orders have that were not solved, of the diffuse light that was found.
+        """Approximate ratio of the light in orders that were not solved to the diffuse light that was found.
 
-        Some times too large where it is small; where it is not small the light is not to be used.
+        Where it is small it is several times too large. Where it is not small do not use the light.
         """
         return self.solution.left_over
 
     @property
     def nbytes(self) -> int:
-        """The size of what was solved."""
+        """Memory of the solution, bytes."""
         return sum(table.nbytes for table in jax.tree.leaves(self.solution))
 
     def radiance(self, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Radiance of sky and ground, W m^-2 sr^-1 nm^-1; zero below the horizon of an observer on the ground.
 
-        **Arguments:** `scene`, its wavelengths those of the field. **Errors:** `ValueError` for a sun, a height or
+        **Arguments:** `scene`, with the wavelengths of the field. **Errors:** `ValueError` for a sun, a height or
         wavelengths that the field was not solved for, where they are not traced.
         """
         self._check(scene)
@@ -66,23 +67,23 @@ class SphericalField(eqx.Module):
     def by_order(self, scene: Scene) -> Float[Array, "order direction wavelength"]:
         """`radiance` order by order; its sum over the orders is `radiance`.
 
-        **Arguments:** `scene` as `radiance` takes it. **Returns:** W m^-2 sr^-1 nm^-1: light that was scattered, or
-        reflected by the ground, once, twice and so on to one more than the orders that were solved; last all that
-        follows. **Valid:** an event in the forward peak of a phase function, beyond its `moments`, counts for none
-        (delta-M), but for light scattered once, whose phase functions are whole. The orders are solved anew: a call
-        takes about as long as `prepare`.
+        **Arguments:** `scene` as for `radiance`. **Returns:** W m^-2 sr^-1 nm^-1: light that was scattered, or
+        reflected by the ground, once, twice and so on to one more than the orders that were solved. The last row is all
+        light that follows. **Valid:** scattering into the forward peak of a phase function, beyond its `moments`, does
+        not count (delta-M), except for light scattered once, whose phase functions are whole. The orders are solved
+        again: a call takes about as long as `prepare`.
         """
         self._check(scene)
         return self._by_order(scene)
 
     def path(self, scene: Scene, distance: Float[Array, " direction"], lit: Lit | None = None) -> Path:
-        """The air between the observer and objects, with all orders of scattering.
+        """Effect of the air between the observer and objects, with all orders of scattering.
 
         **Arguments:** `distance` (m) to the objects; `lit`, parts of each view that the sun shines on, pairs of
-        distances (m) where they begin and end, `[direction]` each, in any order and not overlapping: mountains and
+        distances (m) where they begin and end, `[direction]` each, in any order and not overlapping. Mountains and
         clouds shade the rest. None: all but the Earth's shadow. **Returns:** `Path`. **Valid:** sunlight that is
-        scattered once is integrated over the lit parts alone; the light of higher orders stays in the shade, where it
-        is that of an open sky. A view that meets the ground ends there; the ground's own light is not in it.
+        scattered once is integrated over the lit parts alone. Light of higher orders remains in the shade, where it is
+        that of an open sky. A view that meets the ground ends there; the light of the ground itself is left out.
         **Source:** Bruneton & Neyret 2008, sec. 3 (eq. 17, 18), who take the higher orders out of the shade too.
         """
         self._check(scene)
@@ -95,17 +96,18 @@ class SphericalField(eqx.Module):
         return self._path(scene, as_float(distance), pairs)
 
     def fluxes(self, scene: Scene) -> Irradiances:
-        """Irradiance on the ground and, as `up_at_top`, what leaves the air above it, W m^-2 nm^-1."""
+        """Irradiance on the ground and, as `up_at_top`, the flux that leaves the air above it, W m^-2 nm^-1."""
         self._check(scene)
         return self._fluxes(scene)
 
     def mean_radiance(
         self, height: Float[Array, " place"], sun_zenith: Float[Array, " place"]
     ) -> Float[Array, "place wavelength"]:
-        r"""Diffuse light from all sides, $\frac{1}{4\pi} \int L\, d\omega$, per unit solar irradiance, sr^-1.
+        r"""Mean diffuse radiance, $\frac{1}{4\pi} \int L\, d\omega$, per unit solar irradiance, sr^-1.
 
-        **Arguments:** `height`, m, and `sun_zenith`, rad, of places in the air. **Valid:** within what the field was
-        solved for; the sun's beam is not in it, and what haze scatters into its forward peak counts as beam (delta-M).
+        **Arguments:** `height`, m, and `sun_zenith`, rad, of places in the air. **Valid:** within the range that the
+        field was solved for. The sun's beam is left out, and light that haze scatters into its forward peak counts as
+        beam (delta-M).
         """
         check_range("height", height, 0.0, np.inf, "m")
         suns = concrete(self.suns_deg)
@@ -139,7 +141,7 @@ class SphericalField(eqx.Module):
         views = views_of(scene, "spherical")
         light = self._scattered(medium, scene, views) + _ground(self, medium, scene, views)
         seen = views.aloft | above_horizon(scene.view.zenith)
-        # no radiance is negative: where next to none is left, what the orders are off by may be more than that
+        # No radiance is negative. The error of the orders may exceed the light where almost none is left.
         return jnp.where(seen[:, None] & ~(light < 0.0), light, 0.0)
 
     @eqx.filter_jit
@@ -198,9 +200,9 @@ class SphericalField(eqx.Module):
         extinction = optics(constituents, self.wavelength_nm).extinction
         direct = jnp.maximum(cosine, 0.0) * transmitted_sun(constituents, scene, extinction, "spherical")
         row = self._suns(scene.sun_zenith)
-        # the forward peak counts as direct light as far as the true transmittance goes
+        # The part of the delta-M beam given by the true transmittance counts as direct light.
         scaled = sun_on_ground(self.atmosphere, medium.extinction, cosine)
-        # where little comes through thick air, it may undershoot
+        # It may undershoot where little light comes through thick air.
         diffuse = jnp.maximum(row @ self.solution.ground + scaled - direct, 0.0)
         names = sun_harmonics.kept(self.resolution.moments, bool(medium.peaks))
         along, out = (self.solution.moments[-1, :, names.index((1, mode))] for mode in (0, 1))
@@ -216,7 +218,7 @@ class SphericalField(eqx.Module):
 def _multiple(
     field: SphericalField, medium: Medium, scene: Scene, views: Views
 ) -> Float[Array, "direction wavelength"]:
-    """Light of the second and higher orders, the ground's share in them too, per unit solar irradiance, sr^-1."""
+    """Light of the second and higher orders, including reflection by the ground, per unit solar irradiance, sr^-1."""
     resolution = field.resolution
     if not medium.scattering.shape[0]:
         return jnp.zeros((views.cosine.shape[0], *field.wavelength_nm.shape), views.cosine.dtype)
@@ -238,7 +240,7 @@ def _multiple(
     level, rows = linear(FINER_LEVELS * height, table.shape[0])
     weight = jnp.stack([across * up for across in suns for up in rows]) * dusk(zenith)[None]
     factor = jnp.stack(basis, axis=-1) * share[None, None, :travelling]
-    # for each harmonic that travels
+    # Mixed moments for each harmonic that travels.
     mixed = mixed[degree[:travelling]]
 
     def corner(light, at):
@@ -250,11 +252,11 @@ def _multiple(
     light, _ = jax.lax.scan(jax.checkpoint(corner), light, (*places, weight))
     if not medium.peaks:
         return light
-    # what does not travel: by the sun over the lowest point of each view
+    # Harmonics that do not travel are taken under the sun over the lowest point of each view.
     lowest = jnp.clip(-(EARTH_RADIUS + views.height) * views.cosine, views.entry, views.length)[:, None]
     where = [v[:, 0] for v in frame.at(lowest)]
     away = safe_sqrt(where[1] ** 2 + where[2] ** 2)
-    # on the axis of the sun, where every azimuth is as good, that of the observer
+    # On the sun's axis the azimuth is arbitrary; take that of the observer.
     off, size = away > 1.0, jnp.maximum(away, 1.0)
     lean = jnp.where(off, (where[1] * frame.out + where[2] * frame.aside) / size, frame.out)
     across = jnp.where(off, (where[1] * frame.aside - where[2] * frame.out) / size, frame.aside)
@@ -276,7 +278,7 @@ def _multiple(
 def _ground(
     field: SphericalField, medium: Medium, scene: Scene, views: Views, beam: float = 1.0, diffuse: float = 1.0
 ) -> Float[Array, "direction wavelength"]:
-    """Light of the ground at the end of the views that meet it, lit by so much of the sun's beam and of the field."""
+    """Light of the ground at the end of the views that meet it; `beam` and `diffuse` scale the light on it."""
     if not views.aloft:
         return jnp.zeros((views.cosine.shape[0], *field.wavelength_nm.shape), views.cosine.dtype)
     ends = end_points(views, "spherical")
@@ -285,13 +287,13 @@ def _ground(
     cosine = ends.sun_cosine[:, 0]
     lit = beam * sun_on_ground(field.atmosphere, medium.extinction, cosine)
     lit = lit + diffuse * (field._suns(jnp.arctan2(safe_sqrt(1.0 - cosine**2), cosine)) @ field.solution.ground)
-    # a view that meets the ground falls all the way to it
+    # A view that meets the ground still descends at its end.
     meets = (ends.view_cosine[:, 0] < 0.0) & (ends.height[:, 0] < 1.0)
     return jnp.where(meets[:, None], (medium.albedo / np.pi)[None] * lit * jnp.exp(-depth), 0.0)
 
 
 class _Frame(eqx.Module):
-    """Observer and views in the frame of the sun: along its axis, away from it where the observer is, and aside."""
+    """Observer and views by components along the sun's axis, out from it toward the observer, and aside."""
 
     start: tuple[Float[Array, " direction"], Float[Array, " direction"]]
     along: Float[Array, " direction"]
@@ -306,7 +308,7 @@ class _Frame(eqx.Module):
         return cls((radius * jnp.cos(scene.sun_zenith), radius * jnp.sin(scene.sun_zenith)), along, out, aside)
 
     def at(self, distance: Float[Array, "direction node"]):
-        """Where views are after some metres."""
+        """Points on the views at distances, m."""
         return (
             self.start[0][:, None] + distance * self.along[:, None],
             self.start[1][:, None] + distance * self.out[:, None],
@@ -315,7 +317,7 @@ class _Frame(eqx.Module):
 
 
 def _emitters(field: SphericalField, medium: Medium, views: Views, count: int):
-    r"""Nodes of the views, and what each scatterer at them sends to the eye of the light around, dimmed, a row each.
+    r"""Nodes of the views, and for each scatterer the weight of the light that it sends from them to the eye.
 
     The weights $e^{-\tau} \beta ds$ of a view sum to $1 - e^{-\tau}$ exactly.
     """
@@ -336,9 +338,9 @@ def _emitters(field: SphericalField, medium: Medium, views: Views, count: int):
 
 
 def _nodes(views: Views, count: int, near: float):
-    """Distances of nodes on both sides of the lowest point of each view and the steps they stand for, m.
+    """Distances and steps (m) of nodes on both sides of the lowest point of each view.
 
-    `near`, m: the climb from there over which they crowd.
+    `near` (m) is the climb from that point within which they crowd.
     """
     radius = EARTH_RADIUS + views.height
     lowest = jnp.clip(-radius * views.cosine, views.entry, views.length)

@@ -1,4 +1,4 @@
-"""Light that was scattered once, or reflected by the ground once, as every level meets it under every sun."""
+"""Light that was scattered once, or reflected by the ground once, at every level and under every sun."""
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from .grid import half_turn, Rays
 from .medium import Medium
 
 
-# azimuths, of half a turn, of what changes little with them
+# Number of azimuths in half a turn for quantities that change little with azimuth.
 FEW_AZIMUTHS = 6
 
 
@@ -39,9 +39,10 @@ def first_order(
     passed: Float[Array, "level grounded wavelength"],
     nodes: int,
 ) -> Float[Array, "sun level zenith azimuth wavelength"]:
-    """Radiance of the first order, its phase functions cut after the moments, per unit solar irradiance, sr^-1.
+    """Radiance of the first order with phase functions cut after their moments, per unit solar irradiance, sr^-1.
 
-    What is lit and dimmed on a ray changes little with azimuth and is worked out for few; phase functions are not.
+    The integral over the lit parts of a ray changes little with azimuth and is computed for few azimuths. Phase
+    functions are computed for all.
     """
     count, grounded = medium.moments.shape[0], rays.grounded
     shape = (*rays.zenith_cosine.shape, FEW_AZIMUTHS)
@@ -74,7 +75,7 @@ def first_order(
 
 
 def spread_azimuths(azimuth: np.ndarray) -> np.ndarray:
-    """Weights from few azimuths to these, of half a turn, `[azimuth, few]`: a series of cosines."""
+    """Weights `[azimuth, few]` that interpolate from few azimuths of half a turn to these, by a series of cosines."""
     few = half_turn(FEW_AZIMUTHS)
     mode = np.arange(FEW_AZIMUTHS)[:, None]
     series = np.cos(mode * few) * np.where(mode > 0, 2.0, 1.0) / FEW_AZIMUTHS

@@ -1,4 +1,4 @@
-"""Where the light of a spherical atmosphere is known: heights, suns, directions, and interpolation between them."""
+"""The grid of a spherical atmosphere: heights, suns and directions, and interpolation between them."""
 
 import math
 from typing import Any, NamedTuple
@@ -11,18 +11,18 @@ from ...numerics import cubic_weights, gauss_legendre, library_of
 from ..columns import EARTH_RADIUS, TOP_OF_AIR
 
 
-# heights are near (exp(a x^p) - 1) of even x: dense where haze lies
+# Heights are near (exp(a x^p) - 1) for evenly spaced x: dense where haze lies. This is p.
 _POWER = 1.5
-# nodes of a path crowd over the height above its lowest point that is this many times `near`
+# Nodes of a path crowd within this many times `near` above its lowest point.
 CLIMB = 2.0
-# degrees: the step between suns, even above this zenith angle and wider below it by this much a degree
+# Zenith angle (degrees) above which suns are evenly spaced. Below it the spacing widens by this share for each step.
 _EVEN_ABOVE, _WIDER = 86.0, 0.3
-# the light of twilight falls as exp(-0.8 z) with the sun's zenith angle z in degrees, from about 93 on, to 130
+# Light in twilight falls as exp(-0.8 z) with the sun's zenith angle z in degrees, from about 93 to 130.
 _FALL, _DUSK, _SOFT, _NIGHT = 0.8, 93.0, 1.5, 130.0
 
 
 class Resolution(NamedTuple):
-    """How finely a spherical atmosphere is solved, all static; see `Spherical`."""
+    """Resolution of a spherical atmosphere, all static; see `Spherical`."""
 
     levels: int
     moments: int
@@ -39,10 +39,11 @@ class Resolution(NamedTuple):
 class Rays(NamedTuple):
     """Straight rays from every level to where they leave the air or meet the ground; numpy, float64, static.
 
-    `zenith_cosine` and `solid_angle` (over all azimuths, sr) `[level, zenith]`, the last `grounded` of which meet the
-    ground. Nodes `[level, node]`: `height` (m), `cosine` of the zenith angle there, `distance` from the level and
-    `step` (m), `between`, weights of the levels there `[level, node, other level]`; `ray`, the zenith that a node
-    belongs to, `[node]`. `length` (m) of each ray, `end_height` (m) and `end_cosine` where it ends, `[level, zenith]`.
+    `zenith_cosine` and `solid_angle` (over all azimuths, sr) are `[level, zenith]`; the last `grounded` zenith angles
+    meet the ground. Nodes are `[level, node]`: `height` (m), `cosine` of the zenith angle there, `distance` from the
+    level and `step` (m). `between` are the weights of the levels at the nodes, `[level, node, other level]`; `ray` is
+    the index of the zenith angle that a node belongs to, `[node]`. `length` (m) of each ray, `end_height` (m) and
+    `end_cosine` at its end are `[level, zenith]`.
     """
 
     level: np.ndarray
@@ -67,16 +68,16 @@ def level_heights(resolution: Resolution) -> np.ndarray:
 
 
 def height_coordinate(height: Any, resolution: Resolution) -> Any:
-    """The place of heights (m) among the levels, 0 to `levels` - 1; numpy's of numpy's."""
+    """Position of heights (m) among the levels, 0 to `levels` - 1; numpy arrays give numpy arrays."""
     xp, near = library_of(height), resolution.near
     share = xp.log1p(xp.clip(height, 1e-3, TOP_OF_AIR) / near) / math.log1p(TOP_OF_AIR / near)
     return (resolution.levels - 1) * share ** (1.0 / _POWER)
 
 
 def sun_coordinate(zenith: Any, step: float) -> Any:
-    """The place of a sun's zenith angle (rad) on the axis on which suns are `step` degrees apart in twilight.
+    """Position of a sun's zenith angle (rad) on the axis on which suns are `step` degrees apart in twilight.
 
-    numpy's of numpy's.
+    Suns are one unit apart on it. Numpy arrays give numpy arrays.
     """
     xp = library_of(zenith)
     above = (xp.rad2deg(zenith) - _EVEN_ABOVE) / step
@@ -90,7 +91,7 @@ def sun_at(place: Float[Array, "..."], step: float) -> Float[Array, "..."]:
 
 
 def dusk(zenith: Float[Array, "..."]) -> Float[Array, "..."]:
-    """About how light falls with the sun's zenith angle (rad); what is interpolated between suns is divided by it."""
+    """Approximate fall of light with the sun's zenith angle (rad); tables over suns contain light divided by it."""
     return jnp.exp(-_FALL * _SOFT * jnp.logaddexp(0.0, (jnp.minimum(jnp.rad2deg(zenith), _NIGHT) - _DUSK) / _SOFT))
 
 
@@ -101,15 +102,16 @@ def sun_weights(zenith: Float[Array, "..."], sun_place: Float[Array, " sun"], st
 
 
 def half_turn(count: int) -> np.ndarray:
-    """The middles of equal parts of half a turn, rad."""
+    """Azimuths (rad) in the middle of equal parts of half a turn."""
     return np.pi * (np.arange(count) + 0.5) / count
 
 
 def rays_of(resolution: Resolution) -> Rays:
-    """The rays by which levels see the atmosphere.
+    """The rays from all levels through the atmosphere.
 
-    Zenith cosines by Gauss in three panels, the sky above the level, what lies between it and the ground's horizon, and
-    the ground; dense toward both horizons. Nodes by Gauss in the logarithm of the distance from the lowest point.
+    Zenith cosines are Gauss nodes in three panels: the sky above the level, the air between it and the ground's
+    horizon, and the ground. They are dense toward both horizons. Nodes on a ray are Gauss nodes in the logarithm of the
+    distance from its lowest point.
     """
     height = level_heights(resolution)
     radius = EARTH_RADIUS + height
@@ -128,7 +130,7 @@ def rays_of(resolution: Resolution) -> Rays:
     to_ground = -along - np.sqrt(np.maximum(along**2 - height[:, None] * (EARTH_RADIUS + radius[:, None]), 0.0))
     meets = (np.arange(cosine.shape[1]) >= last.start)[None] & (radius > 0.0)[:, None]
     length = np.where(meets, to_ground, to_top - along)
-    # pieces that climb from their start, at a distance from the level, one way or the other
+    # Pieces that climb from their start, which is at a distance from the level, in either direction.
     pieces = [(z, 0.0 * along[:, z], length[:, z], 1.0) for z in first]
     pieces += [(z, -along[:, z], length[:, z] + along[:, z], 1.0) for z in middle]
     pieces += [(z, -along[:, z], -along[:, z], -1.0) for z in middle]

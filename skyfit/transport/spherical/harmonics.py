@@ -1,4 +1,4 @@
-"""Harmonics about the sun's axis, in which the light of a spherical atmosphere is kept."""
+"""Harmonics about the sun's axis, which represent the light of a spherical atmosphere."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,25 +7,25 @@ from jaxtyping import Array, Float
 from ...numerics import legendre_series, of_angle, safe_sqrt
 
 
-# as much of a length as is none, of unit vectors and of metres
+# Lengths that count as zero: of unit vectors, and in metres.
 _NONE, _NO_LENGTH = 1e-9, 1.0
-# what travels along curved paths: degrees below this
+# Harmonics of degrees below this are carried along curved paths.
 TRAVELLING = 3
 
 
 def kept(moments: int, peaked: bool) -> list[tuple[int, int]]:
-    """Degrees and modes of the harmonics that are kept; air alone needs those below 3."""
+    """Degrees and modes of the harmonics that are kept; air alone needs degrees below 3."""
     degrees = range(moments if peaked else TRAVELLING)
     return [(degree, mode) for degree in degrees for mode in range(degree + 1)]
 
 
 def travelling(harmonics: list[tuple[int, int]]) -> int:
-    """How many of them, the first ones, have their light carried along curved paths."""
+    """Number of harmonics, the first ones, whose light is carried along curved paths."""
     return sum(degree < TRAVELLING for degree, _ in harmonics)
 
 
 def along_sun(zenith_cosine, azimuth, sun_zenith):
-    """The part along the sun's axis and the two across it of views; across: away from the axis as up is, and aside."""
+    """Components of views along the sun's axis, out from it on the side of the vertical, and aside."""
     sine = safe_sqrt(1.0 - zenith_cosine**2)
     toward = sine * jnp.cos(azimuth)
     sin_sun, cos_sun = jnp.sin(sun_zenith), jnp.cos(sun_zenith)
@@ -51,7 +51,7 @@ def of_views(harmonics, along, out, aside) -> Float[Array, "harmonic ..."]:
 def carried(harmonics, along, out, aside, place_out, place_aside) -> list[Float[Array, "..."]]:
     r"""$\Lambda_l^m(\theta) \cos m(\phi_v - \phi_y)$ to l = 2 of views, seen from places away from the sun's axis.
 
-    **Arguments:** the unit vectors of the views; where the places are, across the axis, m.
+    **Arguments:** the components of the views' unit vectors; the places' components across the axis, m.
     """
     distance = safe_sqrt(place_out**2 + place_aside**2)
     lean = jnp.where(
@@ -70,5 +70,5 @@ def carried(harmonics, along, out, aside, place_out, place_aside) -> list[Float[
 
 
 def weights(harmonics) -> np.ndarray:
-    r"""$(2 - \delta_{m0}) / 4\pi$: what the addition theorem has beside $(2l+1)\chi_l$."""
+    r"""$(2 - \delta_{m0}) / 4\pi$, the factor of the addition theorem beside $(2l+1)\chi_l$."""
     return np.array([(1.0 if mode == 0 else 2.0) for _, mode in harmonics]) / (4.0 * np.pi)

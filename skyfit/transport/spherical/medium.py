@@ -1,4 +1,4 @@
-"""What fills a spherical atmosphere as its rays meet it: optics, and weights of the light along each ray."""
+"""Optics of a spherical atmosphere, and weights of the light along each ray."""
 
 from typing import NamedTuple
 
@@ -14,28 +14,29 @@ from ..views import eye_columns, Points, Views
 from .grid import Rays
 
 
-# optical depths and m^-1 whose squares are still a float32
+# Least opacity and least extinction (m^-1); their squares are still a float32.
 _LEAST, _NO_AIR = 1e-18, 1e-15
-# the largest factor by which the nodes of a ray are corrected; what is missing then lies near the eye
+# Largest factor by which the weights on a ray are corrected. What is still missing lies near the eye, on rays of an
+# opacity above the second number.
 _MOST, _THICK = 1.5, 0.1
 
 
 class Medium(NamedTuple):
-    """Delta-M optics of the constituents at some wavelengths; `moments` with the factor 2 l + 1."""
+    """Delta-M optics of the constituents at some wavelengths; `moments` contain the factor 2 l + 1."""
 
     extinction: Float[Array, "constituent wavelength"]
     scattering: Float[Array, "scatterer wavelength"]
     moments: Float[Array, "moment scatterer wavelength"]
     albedo: Float[Array, " wavelength"]
-    # places among the scatterers of those whose moments go on
+    # Indices, among the scatterers, of those without a last moment.
     peaks: tuple[int, ...]
 
 
 class RayWeights(NamedTuple):
-    """What each node of a ray gives per unit source, and how much passes from its end.
+    """Weight of each node of a ray per unit source, and transmittance from its end.
 
-    `node` `[level, node, wavelength]`, m; `density` `[scatterer, level, node]`, m^-1; `passed` from the ground,
-    `[level, grounded zenith, wavelength]`.
+    `node` `[level, node, wavelength]`, the weights, m; `density` `[scatterer, level, node]`, m^-1; `passed`, the
+    transmittance from the ground, `[level, grounded zenith, wavelength]`.
     """
 
     node: Float[Array, "level node wavelength"]
@@ -44,7 +45,7 @@ class RayWeights(NamedTuple):
 
 
 def medium_of(atmosphere: Atmosphere, wavelength_nm: Float[Array, " wavelength"], moments: int) -> Medium:
-    """The optics of an atmosphere, the peaks of its phase functions beyond `moments` counted as unscattered."""
+    """Optics of an atmosphere; light in the peaks of phase functions beyond `moments` counts as unscattered."""
     if not scatterer_indices(atmosphere.constituents):
         none = jnp.zeros((0, *wavelength_nm.shape), wavelength_nm.dtype)
         extinction = optics(atmosphere.constituents, wavelength_nm).extinction
@@ -58,7 +59,7 @@ def medium_of(atmosphere: Atmosphere, wavelength_nm: Float[Array, " wavelength"]
 
 
 def ray_weights(atmosphere: Atmosphere, medium: Medium, rays: Rays) -> RayWeights:
-    r"""Weights $e^{-\tau} ds$ of the nodes of all rays, scaled so that what a ray holds is $1 - e^{-\tau}$ exactly."""
+    r"""Weights $e^{-\tau} ds$ of the nodes of all rays, scaled so that a ray's opacity is exactly $1 - e^{-\tau}$."""
     constituents = atmosphere.constituents
     profiles = [c.profile for c in constituents]
     levels, nodes = rays.height.shape
@@ -72,7 +73,7 @@ def ray_weights(atmosphere: Atmosphere, medium: Medium, rays: Rays) -> RayWeight
     whole = jnp.einsum("clz,cw->lzw", whole, medium.extinction)
     every = jnp.stack([p.density(as_float(rays.height)) for p in profiles])
     weight = jnp.exp(-jnp.einsum("cln,cw->lnw", column, medium.extinction)) * as_float(rays.step)[..., None]
-    # by the rays that nodes belong to
+    # The nodes that belong to each ray, and the nearest of them.
     mine = np.arange(rays.length.shape[1])[:, None] == rays.ray[None]
     near = np.argmin(np.where(mine[None], rays.distance[:, None], np.inf), axis=-1)
     of_ray, nearest = as_float(mine), as_float(near[..., None] == np.arange(nodes))
@@ -88,9 +89,9 @@ def ray_weights(atmosphere: Atmosphere, medium: Medium, rays: Rays) -> RayWeight
 def completed(
     whole: Float[Array, "..."], found: Float[Array, "..."]
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Factors of the nodes' weights on a ray and what its nearest node gets besides, so that they hold the `whole`.
+    """Factor of the weights on a ray and addition to its nearest node by which their opacity becomes the `whole`.
 
-    In thick air the nodes miss most of what is near the eye.
+    In thick air the nodes miss most of the opacity near the eye.
     """
     some = found > _LEAST
     scale = jnp.minimum(jnp.where(some, whole / jnp.where(some, found, 1.0), 1.0), _MOST)
@@ -98,7 +99,7 @@ def completed(
 
 
 def per_metre(share: Float[Array, "*shape"], extinction: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """The weight (m) of a node that holds a `share` of a ray's light, none where nothing is to hold it."""
+    """Weight (m) of a node that has a `share` of a ray's opacity; 0 where there is no extinction."""
     some = extinction > _NO_AIR
     return jnp.where(some, share / jnp.where(some, extinction, 1.0), 0.0)
 

@@ -34,47 +34,48 @@ from .transfer import solve
 
 
 _LOWEST_SUN = 108.0
-# degrees: how far from an observer on the ground suns still matter to its light, and by night
+# Distance (degrees) from the observer's sun within which suns affect the light on the ground, by day and by night; the
+# zenith angle at which night begins.
 _AROUND, _AROUND_AT_NIGHT, _NIGHT = 8.0, 14.0, 100.0
-# the suns around one that is traced, whose place is not known; how many suns are solved around others
+# Number of suns solved around a traced one, whose place is not known; possible numbers for others.
 _TRACED = 12
 _COUNTS = (6, 8, 10, 12, 16, 20, 28)
-# optical depth of scattering to which air is thin; orders that leave less than a thousandth of the light over, a ground
-# of albedo 1 below, and to which depth; so many for all that is thicker
+# Largest scattering optical depth of thin air. Larger ones, with the numbers of orders that leave less than a
+# thousandth of the light over a ground of albedo 1. Number of orders for thicker air.
 _THIN, _ORDERS, _MOST_ORDERS = 0.8, ((1.5, 8), (4.0, 12), (8.0, 20), (20.0, 32)), 32
-# m: scatterers that reach no higher are fog; `near` for them, at most this share of their reach, and least numbers of
-# levels, and of nodes on rays and on views
+# Fog are scatterers that reach no higher than this (m); values of `near` for it, and their largest share of its reach;
+# least numbers of levels, of nodes on rays and of nodes on views.
 _FOG, _NEARS, _SHARE_NEAR, _FOG_GRID = 300.0, (100.0, 30.0, 10.0), 0.7, (36, 24, 40)
-# told from then on: what is left over is found larger than it is
+# Share of light left over above which a warning is given; the share found is larger than the true one.
 _MOST_LEFT_OVER = 0.03
-# where `doubt` looks
+# Wavelength at which `doubt` judges an atmosphere.
 _DOUBTED_NM = 400.0
 
 
 class Spherical(AbstractSolver):
     r"""All orders of scattering in a spherical atmosphere over a Lambertian ground, for any observer, view and sun.
 
-    The diffuse light is kept as its moments in spherical harmonics about the sun's axis, at some heights under some
-    suns. That axis is one for the whole atmosphere: along a straight ray the angle to it stays, and only the azimuth
-    of the place turns. Sunlight scattered once is integrated exactly over what is lit of each ray. Each further order
-    takes the moments of the last one along curved paths, those of degree 3 and more, which haze alone has, by the
-    column over the place. Of the orders the best combination is taken, as GMRES has it, and what it leaves over follows
-    as the last of them falls: more than 3 % of the light is a `ThickAirWarning` where an atmosphere is not traced.
-    Phase functions are cut by delta-M; single scattering uses the whole of them (TMS).
+    The diffuse light is represented by its moments in spherical harmonics about the sun's axis, at some heights under
+    some suns. The whole atmosphere has the same axis: along a straight ray the angle to it is constant, and only the
+    azimuth of the place turns. Sunlight scattered once is integrated exactly over the lit parts of each ray. Each
+    further order carries the moments of the last one along curved paths. Moments of degree 3 and more, which only haze
+    has, are taken from the column over the place. The orders are combined as in GMRES, and what the combination leaves
+    over falls off as the last order does. If it is more than 3 % of the light, an atmosphere that is not traced gives a
+    `ThickAirWarning`. Phase functions are cut by delta-M; single scattering uses the whole of them (TMS).
 
-    `levels` of height; `moments` of the phase functions, even; `up`, `flat`, `down`, zenith angles of the rays of a
-    level to the sky, between its horizon and level views, and to the ground; `orders`, of thin air: where an atmosphere
-    is not traced, thick air has up to 32 (`suited`); `sun_step`, degrees between suns in twilight; `path_nodes` and
-    `first_nodes` on rays from the levels, for diffuse light and for sunlight; `view_nodes` and `nodes` the same on
-    views; `near`, the height (m) to which levels and nodes crowd: where an atmosphere is not traced it is smaller, and
-    there are more of them, for fog and what else lies within 300 m of the ground (`suited`).
+    `levels` of height; `moments` of the phase functions, even; `up`, `flat`, `down`, numbers of zenith angles of the
+    rays of a level: to the sky, between its horizon and level views, and to the ground; `orders` for thin air (thick
+    air that is not traced has up to 32, `suited`); `sun_step`, degrees between suns in twilight; `path_nodes` and
+    `first_nodes` on rays from the levels, for diffuse light and for sunlight; `view_nodes` and `nodes`, the same on
+    views; `near`, the height (m) below which levels and nodes crowd. For fog and other scatterers within 300 m of the
+    ground, if not traced, `near` is smaller and there are more levels and nodes (`suited`).
 
-    **Valid:** suns to 108 degrees, observers from the ground to space. Scalar light: what polarisation does to it is
-    missing, as in a scalar `OrdersOfScattering`. Straight rays: under the sun's true place they are 2-11 % too dark
-    at 88 degrees, 15-46 % at 96, half way to its apparent place 2 and 8 % off (experiments/results/refraction.json).
-    Layers that begin and end within a kilometre are seen as coarsely as levels lie. Fog on the ground, of optical
-    depth 2, is within 3 % of discrete ordinates (tests), but 8 % within ten degrees of the sun; where the atmosphere is
-    traced it is 20-50 % too dark.
+    **Valid:** suns to 108 degrees, observers from the ground to space. The light is scalar: the effect of polarisation
+    is missing, as in a scalar `OrdersOfScattering`. Rays are straight: with the sun at its true place skies are 2-11 %
+    too dark at 88 degrees and 15-46 % at 96, half way to its apparent place 2 and 8 % off
+    (experiments/results/refraction.json). Layers that begin and end within a kilometre are resolved only as finely as
+    the levels. Fog on the ground, of optical depth 2, is within 3 % of discrete ordinates (tests), within ten degrees
+    of the sun 8 %; where the atmosphere is traced it is 20-50 % too dark.
     **Source:** the observer's problem and its tables: Bruneton & Neyret 2008; harmonics about the sun's axis are our
     own; TMS: Nakajima & Tanaka 1988, JQSRT 40, 51.
     """
@@ -102,7 +103,7 @@ class Spherical(AbstractSolver):
 
     @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "Spherical":
-        """Coarse, for slopes; its errors were not measured."""
+        """Coarse, for Jacobians; its errors were not measured."""
         return cls(
             levels=16, moments=6, up=8, flat=4, down=4, orders=4, sun_step=2.0, path_nodes=7, first_nodes=10,
             view_nodes=12, nodes=16, geometry=geometry,
@@ -110,12 +111,12 @@ class Spherical(AbstractSolver):
 
     @classmethod
     def normal(cls, geometry: Geometry = "spherical") -> "Spherical":
-        """Of Monte Carlo: within 0.7 % under suns to 89 degrees, 1.5 % to 96, 4 % to 108 (median 0.06, 0.1, 0.4 %)."""
+        """Within 0.7 % of Monte Carlo under suns to 89 degrees, 1.5 % to 96, 4 % to 108 (medians 0.06, 0.1, 0.4 %)."""
         return cls(geometry=geometry)
 
     @classmethod
     def fine(cls, geometry: Geometry = "spherical") -> "Spherical":
-        """More of everything: medians of 0.07, 0.08, 0.36 % in these ranges; its times were not measured."""
+        """Finer in every respect: medians of 0.07, 0.08, 0.36 % in these ranges; its times were not measured."""
         return cls(
             levels=32, moments=16, up=14, flat=10, down=8, orders=8, sun_step=1.0, path_nodes=14, first_nodes=20,
             view_nodes=24, nodes=32, geometry=geometry,
@@ -137,7 +138,7 @@ class Spherical(AbstractSolver):
         return Spherical.draft()
 
     def suited(self, atmosphere: Atmosphere, wavelength_nm: Float[Array, " wavelength"]) -> "Spherical":
-        """This solver with as many `orders` and as fine a grid as the atmosphere asks for, where it is not traced."""
+        """This solver with as many `orders` and as fine a grid as the atmosphere needs, where it is not traced."""
         near = _near(atmosphere)
         if near < self.near:
             levels, on_rays, on_views = map(max, _FOG_GRID, (self.levels, self.path_nodes, self.view_nodes))
@@ -169,11 +170,12 @@ class Spherical(AbstractSolver):
         sun_zenith: Float[ArrayLike, "..."] | None = None,
         height: Float[ArrayLike, "..."] | None = None,
     ) -> SphericalField:
-        """Solves the atmosphere once, for many observers, views and suns.
+        """Solve the atmosphere once, for many observers, views and suns.
 
-        **Arguments:** `wavelength_nm`; `sun_zenith` (rad), suns that will be asked for: what lies between the least and
-        the largest of them is answered, None: all to 108 degrees; `height` (m), likewise the highest observer, None:
-        the one on the ground where a sun is given, else all. **Returns:** `SphericalField`, per unit solar irradiance.
+        **Arguments:** `wavelength_nm`; `sun_zenith` (rad), suns that will be asked for: the field is valid between the
+        least and the largest of them, None: for all to 108 degrees; `height` (m), observers likewise: the field is
+        valid up to the highest, None: on the ground if a sun is given, else everywhere. **Returns:** `SphericalField`,
+        per unit solar irradiance.
         """
         wavelength_nm = as_float(wavelength_nm)
         atmosphere.check_wavelengths(wavelength_nm)
@@ -199,14 +201,14 @@ class Spherical(AbstractSolver):
         return self._for(atmosphere, scene).radiance(scene)
 
     def fluxes(self, atmosphere: Atmosphere, scene: Scene) -> Irradiances:
-        """Irradiance on the ground, and what leaves the air above it."""
+        """Irradiance on the ground, and the flux that leaves the air above it."""
         check_scene(self, atmosphere, scene)
         return self._for(atmosphere, scene).fluxes(scene)
 
     def path(
         self, atmosphere: Atmosphere, scene: Scene, distance: Float[Array, " direction"], lit: Lit | None = None
     ) -> Path:
-        """The air between the observer and objects at `distance` (m) along each view; `lit` as the field takes it."""
+        """Effect of the air up to objects at `distance` (m) along each view; `lit` as in `SphericalField.path`."""
         check_scene(self, atmosphere, scene)
         check_eye(scene)
         return self._for(atmosphere, scene).path(scene, distance, lit)
@@ -222,12 +224,12 @@ class Spherical(AbstractSolver):
         )  # fmt: skip
 
     def _window(self, sun_zenith, height):
-        """The first sun's place and how many; the zenith angles (degrees) and the height (m) that they answer."""
+        """Place of the first sun and number of suns; zenith angles (degrees) and height (m) that they are valid for."""
         suns, heights = concrete(sun_zenith), concrete(height)
         highest = np.inf if height is None or heights is None else float(heights.max())
         if sun_zenith is not None and height is None:
             highest = 0.0
-        # from aloft views come to other suns, as far as the horizon and the end of the air behind it
+        # Views from aloft reach air under other suns, as far as the horizon and the end of the air behind it.
         dip = _dip(highest)
         around = dip + min(dip, _dip(TOP_OF_AIR))
         if sun_zenith is None or not np.isfinite(highest):
@@ -241,7 +243,7 @@ class Spherical(AbstractSolver):
         least, largest = np.degrees(suns.min()), np.degrees(suns.max())
         around += _AROUND_AT_NIGHT if largest > _NIGHT else _AROUND
         low, high = self._place(max(least - around, 0.0)), self._place(min(largest + around, 180.0))
-        # few counts, so that few programs are compiled
+        # Few different numbers, so that few programs are compiled.
         need = math.ceil(high - low) + 1
         count = next((n for n in _COUNTS if n >= need), need)
         return max(low - 0.5 * (count - need), self._place(0.0)), count, (float(least), float(largest)), highest
@@ -251,12 +253,12 @@ class Spherical(AbstractSolver):
 
 
 def _dip(height: float) -> float:
-    """How far away the horizon is, in degrees at the Earth's centre."""
+    """Angle (degrees) at the Earth's centre between an observer and the horizon."""
     return math.degrees(math.acos(EARTH_RADIUS / (EARTH_RADIUS + min(height, 1e9))))
 
 
 def _near(atmosphere: Atmosphere) -> float:
-    """The height (m) to which levels should crowd; infinite for what lies no lower than usual, or is traced."""
+    """The `near` (m) that the atmosphere needs; infinite without fog. Traced profiles do not count."""
     reaches = [concrete(c.profile.reach()) for c in atmosphere.constituents if c.phase is not None]
     lowest = min((float(reach) for reach in reaches if reach is not None), default=np.inf)
     if lowest > _FOG:
@@ -266,7 +268,7 @@ def _near(atmosphere: Atmosphere) -> float:
 
 @eqx.filter_jit
 def _scattering_depth(atmosphere: Atmosphere, wavelength_nm) -> Float[Array, ""]:
-    """The largest at any of the wavelengths."""
+    """Largest scattering optical depth at any of the wavelengths."""
     parts = [
         c.optical_depth_at(wavelength_nm) * c.single_scattering_albedo_at(wavelength_nm)
         for c in atmosphere.constituents

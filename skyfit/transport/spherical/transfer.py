@@ -1,4 +1,4 @@
-"""From one order of scattering to the next: light carried along curved paths to every level, under every sun."""
+"""From one order of scattering to the next: light is carried along curved paths to every level, under every sun."""
 
 from typing import NamedTuple
 
@@ -16,22 +16,22 @@ from .grid import dusk, half_turn, Rays, rays_of, Resolution, sun_at, sun_weight
 from .medium import Medium, medium_of, ray_weights, RayWeights
 
 
-# the last order is followed by those that fall like it; no slower than this
+# Orders after the last one fall like it. Limits of the largest ratio between two of them.
 _SLOWEST = 0.95, 0.999
 _NO_LIGHT = 1e-15
-# of a change between orders, in roundings: what keeps those that are hardly different apart
+# Damping of the combination of orders, in units of rounding, for changes between orders that hardly differ.
 _GUARD = 100.0
-# levels and suns of the table that views read linearly, for one of the cubics': within some 1e-4 of them, and its kinks
-# make no step of the light in a series of suns
+# Levels and suns of the table that views read linearly, per level and sun of the cubic table. It is within some 1e-4 of
+# the cubics, and its kinks make no step of the light in a series of suns.
 FINER_LEVELS, FINER_SUNS = 4, 12
 
 
 class Solution(NamedTuple):
-    """The diffuse light of all orders per unit solar irradiance, over `dusk` of the sun.
+    """The diffuse light of all orders per unit solar irradiance, divided by `dusk` of the sun.
 
-    `moments` of the radiance; `ground`, diffuse irradiance on level ground; `fine`, the moments that travel,
-    `FINER_LEVELS` and `FINER_SUNS` times as many levels and suns: views read it linearly; `left_over`, how much of the
-    mean light is that of the orders which were not solved.
+    `moments` of the radiance; `ground`, diffuse irradiance on level ground; `fine`, the moments that travel, at
+    `FINER_LEVELS` and `FINER_SUNS` times as many levels and suns, which views read linearly; `left_over`, the share of
+    the mean light that belongs to orders which were not solved.
     """
 
     moments: Float[Array, "level sun harmonic wavelength"]
@@ -41,18 +41,18 @@ class Solution(NamedTuple):
 
 
 class Order(NamedTuple):
-    """The light of one order, as `Solution` has that of all."""
+    """The light of one order, in the same form as in `Solution`."""
 
     moments: Float[Array, "level sun harmonic wavelength"]
     ground: Float[Array, "sun wavelength"]
 
 
 class Carrier(NamedTuple):
-    """What carries light from level to level: geometry alone, but for `rays`. Azimuths and suns are one axis, `here`.
+    """Weights that carry light from level to level; all but `rays` depend on geometry alone.
 
-    `views`, the harmonics of the rays of a level; `basis`, those that travel, where the nodes are; `suns`, weights of
-    suns at the nodes, times `dusk` there; `ground`, the same where rays meet the ground; `between`, weights of levels
-    at the nodes.
+    Azimuths and suns are one axis, `here`. `views`, the harmonics of the rays of a level; `basis`, those that travel,
+    at the nodes; `suns`, weights of suns at the nodes, times `dusk` there; `ground`, the same where rays meet the
+    ground; `between`, weights of levels at the nodes.
     """
 
     views: Float[Array, "sun harmonic level zenith azimuth"]
@@ -69,7 +69,7 @@ def solve(
     sun_place: Float[Array, " sun"],
     resolution: Resolution,
 ) -> Solution:
-    """All orders of scattering at all levels under some suns, `sun_place` as `sun_coordinate` has them, one apart."""
+    """Solve all orders of scattering at all levels under some suns of `sun_coordinate` `sun_place`, one apart."""
     orders = orders_of(atmosphere, wavelength_nm, sun_place, resolution)
     total, rest = _combined(orders)
     more = _closure(orders)
@@ -102,7 +102,7 @@ def orders_of(
     scale = 1.0 / dusk(sun)
 
     def moments(light) -> Order:
-        """`light` `[sun, level, zenith, azimuth, wavelength]` in harmonics, and what of it falls on the ground."""
+        """Harmonics of `light` `[sun, level, zenith, azimuth, wavelength]`, and its irradiance on the ground."""
         weighted = light * solid_angle[None, :, :, None, None] * scale[:, None, None, None, None]
         found = jnp.einsum("shlza,slzaw->lshw", carrier.views, weighted)
         down = as_float(np.maximum(rays.zenith_cosine[0], 0.0))
@@ -124,15 +124,15 @@ def _squares(light: Float[Array, "*axes wavelength"]) -> Float[Array, " waveleng
 def _combined(orders: Order) -> tuple[Order, Order]:
     r"""The combination of sums of orders that is nearest to the sum of all, and the last order that is in it.
 
-    Of the orders $o_j$, `[order, ...]`, and their sums $s_j$ it is $\sum_j \gamma_j s_{j+1}$, each wavelength's own
-    $\gamma$ such that $\sum_j \gamma_j = 1$ and $|\sum_j \gamma_j o_{j+1}|$ is least, as GMRES has it.
+    With the orders $o_j$, `[order, ...]`, and their sums $s_j$ it is $\sum_j \gamma_j s_{j+1}$. Each wavelength has its
+    own $\gamma$ such that $\sum_j \gamma_j = 1$ and $|\sum_j \gamma_j o_{j+1}|$ is least, as in GMRES.
     **Source:** reduced rank extrapolation, Sidi 2017, Vector Extrapolation Methods with Applications, ch. 2.
     """
     flat = [o.reshape(o.shape[0], -1, o.shape[-1]) for o in (orders.moments[1:, :, :, 0], orders.ground[1:])]
     off = jnp.concatenate(flat, axis=1).T
     found = jax.vmap(_nearest)(off[..., -1:] - off[..., :-1], off[..., -1]).T
     share = jnp.concatenate([found, 1.0 - jnp.sum(found, axis=0, keepdims=True)])
-    # an order is in its own sum and those after it
+    # Each order is part of its own sum and of the sums after it.
     within = jnp.concatenate([jnp.ones_like(share[:1]), jnp.cumsum(share[::-1], axis=0)[::-1]])
     total = jax.tree.map(lambda o: jnp.einsum("jw,j...w->...w", within, o), orders)
     rest = jax.tree.map(lambda o: jnp.einsum("jw,j...w->...w", share, o[1:]), orders)
@@ -140,17 +140,17 @@ def _combined(orders: Order) -> tuple[Order, Order]:
 
 
 def _nearest(columns: Float[Array, "place column"], goal: Float[Array, " place"]) -> Float[Array, " column"]:
-    """The combination of columns that is nearest to the goal; none of columns that hold nothing."""
+    """Coefficients of the combination of columns that is nearest to the goal; 0 for columns that are empty."""
     count = columns.shape[1]
     square = jnp.sum(columns**2, axis=0)
     some = square > _NO_LIGHT**2
     size = jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 1.0)
     largest = jnp.max(jnp.abs(goal))
     lit = largest > _NO_LIGHT
-    # anything that is not 0, whose length has a slope
+    # In the dark any goal but 0 will do, because its length has a derivative.
     goal = jnp.where(lit, goal / jnp.where(lit, largest, 1.0), 1.0)
     rows = jnp.concatenate([columns / size[None], goal[:, None]], axis=1)
-    # and a unit of its own for what is empty
+    # Empty columns get a row of unit strength.
     guard = jnp.where(some, _GUARD * jnp.finfo(rows.dtype).eps, 1.0)
     held = jnp.eye(count, count + 1, dtype=rows.dtype) * guard[:, None]
     whole = triangle(jnp.concatenate([rows, held]))[:count]
@@ -158,10 +158,10 @@ def _nearest(columns: Float[Array, "place column"], goal: Float[Array, " place"]
 
 
 def _closure(orders: Order) -> Float[Array, "level sun wavelength"]:
-    """What orders after the last add, in units of it: they fall as it falls."""
+    """Sum of the orders after the last, in units of the last, if they fall as it does."""
     before, after = orders.moments[-2, :, :, 0], orders.moments[-1, :, :, 0]
     some = before > _NO_LIGHT
-    # no place falls more slowly than thick air does as a whole, or than this
+    # No place falls more slowly than the air as a whole, or than the first of `_SLOWEST`.
     whole = jnp.sum(after, axis=(0, 1)) / jnp.maximum(jnp.sum(before, axis=(0, 1)), _NO_LIGHT)
     slowest = jnp.clip(whole, *_SLOWEST)[None, None]
     ratio = jnp.clip(jnp.where(some, after / jnp.where(some, before, 1.0), 0.0), 0.0, slowest)
@@ -169,7 +169,7 @@ def _closure(orders: Order) -> Float[Array, "level sun wavelength"]:
 
 
 def tabled(light: Order, left_over: Float[Array, " wavelength"]) -> Solution:
-    """The light of some orders with the table that views read."""
+    """The light of some orders, with the table that views read."""
 
     def finer(count: int, times: int):
         return as_float(cubic_weights(np.arange(times * (count - 1) + 1) / times, count))
@@ -190,7 +190,7 @@ def _carrier(rays: Rays, names, azimuth, sun_place, sun, resolution: Resolution,
     along, out, aside = sun_harmonics.along_sun(cosine[:, :, None, None], few, under)
 
     def there(distance, pick):
-        """Where rays come to: along the sun's axis, out from it and aside, m, `[level, node, azimuth, sun]`."""
+        """Points that rays reach: along the sun's axis, out from it and aside, m, `[level, node, azimuth, sun]`."""
         distance = as_float(distance)[:, :, None, None]
         start = radius * jnp.cos(under), radius * jnp.sin(under), 0.0
         return [s + distance * v[:, pick] for s, v in zip(start, (along, out, aside), strict=True)]
@@ -221,7 +221,7 @@ def _carried(order: Order, carrier: Carrier, medium: Medium, rays: Rays, names, 
     low = medium.moments[: sun_harmonics.TRAVELLING]
 
     def at_level(level):
-        """What arrives at one level; scatterers are mixed at each node, for each degree that travels."""
+        """Light that arrives at one level; scatterers are mixed at each node, for each degree that travels."""
         basis, suns_there, between, node, density, passed, at_ground = level
         mixed = jnp.einsum("nw,cn,cw,dcw->ndw", node, density, medium.scattering, low)
         source = jnp.einsum("no,oshw->nshw", between, moments) * mixed[:, None, degree[:travelling]]
