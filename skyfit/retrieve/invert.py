@@ -19,7 +19,7 @@ from .retrieve import retrieve, shape_of
 from .uncertainty import Estimate
 
 
-# largest number of groups of directions that a jackknife leaves out by turns
+# largest number of groups of directions that a jackknife leaves out in turn
 _MOST_GROUPS = 100
 
 
@@ -61,7 +61,7 @@ def invert(
       is the sigma of the logarithm; None leaves out the `climatology` of a parameter. `smooth`: name -> sigma
       of its change within an hour, on the same scale, for names that are not shared
     - `draft`: solver of the slopes (default: `solver` itself, which compiles once; a coarser one runs faster)
-    - `jackknife`: number of groups of directions, in the order of the sky, that are left out by turns to find
+    - `jackknife`: number of groups of directions, in the order of the sky, that are left out in turn to find
       `Fit.jackknife_sigma`; 0: none
     - `max_steps` of each Levenberg-Marquardt search; `progress(done, of)` is called after each fit, of one time or of
       all times together
