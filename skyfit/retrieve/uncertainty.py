@@ -90,7 +90,7 @@ class End(NamedTuple):
 def components_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Priors, end: End) -> Components:
     """Estimate the sizes of each time's errors from the residuals of an end; no derivative goes through them.
 
-    A single time cannot move parameters that times share or that tie them. Where times contradict each other, that
+    A single time cannot move parameters that times share or that link them. Where times contradict each other, that
     counts as an error of the samples.
     """
     alone = problem.measured.shape[0] == 1
