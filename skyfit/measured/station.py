@@ -29,8 +29,7 @@ def station_pressure(sky: Sky) -> tuple[float, str]:
 
 
 def sun_factor(sky: Sky) -> tuple[Float[np.ndarray, " time"], str]:
-    """The sun's irradiance at each time over that at 1 au, by the file's distance or the date, and a note if neither
-    is known.
+    """The sun's irradiance at each time over that at 1 au, and a note where neither its distance nor a date is known.
 
     **Returns:** `[time]`, dimensionless; 1 at times whose date is not known.
     """
