@@ -11,8 +11,8 @@ from .samples import Sky
 
 Loss = Literal["squares", "huber", "cauchy"]
 
-# noise where a file gives none, as shares of each sample and of the time's median radiance: where the sizes of a fit's
-# residuals begin (experiments/studies/measured_sky.py)
+# noise where a file gives none, as shares of each sample and of the time's median radiance: about the lower end of the
+# residuals of fits (experiments/studies/measured_sky.py)
 _RELATIVE, _FLOOR = 0.02, 0.05
 # assumed sizes of the shared errors before the residuals are seen, in the order of `shared_errors`, and the number of
 # directions, or bumps of a broad error, that they count for: small, so that skies without any keep their error bars
@@ -81,7 +81,7 @@ class NoiseModel:
             raise ValueError("`relative` and `floor` must not both be 0: no sample is exact")
 
     def stated(self, sky: Sky) -> bool:
-        """Whether the noise is given, by the measurement's owner or the sky's file."""
+        """Whether the noise is given, by this model or by the sky's file."""
         return self.relative is not None or self.floor is not None or sky.sigma is not None
 
     def sigma(self, sky: Sky, used: np.ndarray) -> np.ndarray:

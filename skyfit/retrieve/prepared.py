@@ -34,7 +34,7 @@ from .sampling import Sampling
 
 # spread of the unconstrained numbers of random starts: covers most of each range, not its ends
 _START_SPREAD = 1.5
-# least share of the stated noise that is the samples' own. With less, the smooth residuals of a real sky pass for
+# least ratio of the samples' own noise to the stated noise. With less, the smooth residuals of a real sky pass for
 # pointing errors of degrees, and for broad errors twice as large as those that halves of the directions show
 _LEAST = 1.0
 # sigma of the second difference of the logarithms of neighbouring size bins. In a lognormal mode the second difference
@@ -115,7 +115,7 @@ def usual_free(sky: Sky) -> tuple[str, ...]:
 
 
 def _maker(sky: Sky) -> SkyModel:
-    """The model that a simulated sky states it was made with."""
+    """The model with which a simulated sky was made, as it states."""
     return SkyModel(from_description(sky.made_by["atmosphere"], "made_by.atmosphere"))
 
 

@@ -34,7 +34,7 @@ def fit_of(
             rows[t] = _row(asked, int(t), index, part, spreads[number] if spreads else None)
     stack: dict[str, Any] = {key: np.stack([row[key] for row in rows]) for key in rows[0] if key not in _WORDS}
     words: dict[str, Any] = {key: tuple(row[key] for row in rows) for key in _WORDS}
-    # a lamp in the view does not make the rest of the fit a poor one
+    # a lamp in the view does not make the rest of the fit poor
     out = outliers(stack["weight"])
     judged = sky, stack["model"], asked.sampling.used & ~out[..., None]
     beyond = [f"{at_time(sky, t)}{said}" for t, said in enumerate(words.pop("doubt")) if said]

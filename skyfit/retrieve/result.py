@@ -34,7 +34,7 @@ class Fit:
     """Parameters of a sky with their uncertainty, and the sky that they give; host-side arrays.
 
     - `values`, `sigma`, `at_bound`, `determined` are `[time, parameter]` in the order of `free`, units as in
-      `PARAMETERS`; `covariance` `[time, parameter, parameter]`. `shared` ones have the same values at all times
+      `PARAMETERS`; `covariance` `[time, parameter, parameter]`. Those of `shared` parameters are the same at all times
     - `sigma` includes noise of all kinds, priors, and `model_sigma`, the part of the model's stated error;
       `reduced_chi_square` `[time]` is that of all samples with the stated noise
     - `scale` `[time]`: the samples' own noise over the stated noise. `common` `[time, kind]`: sizes of the errors that

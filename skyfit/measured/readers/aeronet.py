@@ -40,7 +40,7 @@ def read_scan(path: Path, station: dict[str, float]) -> Sky:
     - `station`: numbers that replace the file's own, by name
 
     **Returns** a `Sky` of the scans in time, each wavelength with its own views. An optical-depth file (`.lev15`,
-    `.lev20`, `.lev10`) of the same site in the same folder is read too, the best level first.
+    `.lev20`, `.lev10`) of the same site in the same folder is read too, that of the best level.
 
     **Valid** scans in the almucantar and the principal plane, and hybrid ones. The angles of a hybrid scan are azimuths
     from the sun or scattering angles; their name and the file's own scattering angles show which. Other scans, and a
@@ -129,7 +129,7 @@ def _sweep(table, row, cells, places, columns, degrees, factor, by_scattering=Fa
 
 
 def _radiances(table: Table) -> tuple[dict[int, float], str, int, bool]:
-    """The angle of each column of radiance, their units, how many have no angle, and whether they name scattering."""
+    """The angle of each column of radiance, their units, how many have none, and whether they are scattering angles."""
     angles, units, group, unnamed, scattering = {}, _USUAL_UNITS, "", 0, False
     for place, (name, under) in enumerate(zip(table.names, table.below, strict=True)):
         label = under

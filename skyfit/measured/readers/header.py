@@ -196,7 +196,7 @@ def moment_of(text: str) -> np.datetime64:
 
 
 def quantity_of(key: str) -> tuple[str, str] | None:
-    """The number of a station that a key means, by the package's name, and the unit in the key; None if it is none."""
+    """The package's name of the station's number that a key means, and the key's unit; None if there is none."""
     words = plain(key).split("_")
     for rest in (words, words[1:]) if words[0] in _PLACES else (words,):
         for at in range(1, len(rest) + 1):
