@@ -1,4 +1,4 @@
-"""Samples and times of a sky that a user leaves out."""
+"""Mask samples of a sky that a user leaves out."""
 
 from dataclasses import replace
 
@@ -9,9 +9,9 @@ from .samples import Sky
 
 
 def mask_sun(sky: Sky, angle: float) -> Sky:
-    """The sky without its samples within an angle of the sun, counted as such among the masked.
+    """Mask the samples within an angle of the sun, with a reason of their own.
 
-    **Arguments:** `angle`, radians, 0 to pi. **Returns:** a `Sky` whose other samples are as they were.
+    **Arguments:** `angle`, radians, 0 to pi. **Returns:** a `Sky` whose other samples are unchanged.
     """
     if not 0.0 <= angle <= np.pi:
         raise ValueError(f"`angle` must be between 0 and pi rad, got {angle:g}")
@@ -25,6 +25,6 @@ def mask_sun(sky: Sky, angle: float) -> Sky:
         return sky
     counts = sky.masked | {f"within {np.degrees(angle):g} degrees of the sun": int(near.sum())}
     known = np.full(sky.usable.shape, -1) if sky.reason is None else sky.reason
-    # without reasons of the others they are counted by their samples
+    # if other samples are masked for reasons that are not known, no reasons are held
     reason = np.where(near, len(counts) - 1, known) if sky.reason is not None or not sky.masked else None
     return replace(sky, usable=sky.usable & ~near, masked=counts, reason=reason)

@@ -1,4 +1,4 @@
-"""What is known of a measurement besides its numbers: noise, calibration, spectral response, outliers."""
+"""What is known about a measurement besides its numbers: noise, calibration, field of view, outliers."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,38 +11,38 @@ from .samples import Sky
 
 Loss = Literal["squares", "huber", "cauchy"]
 
-# where a file gives none, of each sample and of the time's median radiance: where the sizes of a fit's residuals begin
-# (experiments/studies/measured_sky.py)
+# noise where a file gives none, as shares of each sample and of the time's median radiance: about the lower end of the
+# residuals of fits (experiments/studies/measured_sky.py)
 _RELATIVE, _FLOOR = 0.02, 0.05
-# what errors in common are taken for before the residuals are seen, in the order that `shared_errors` has, and for how
-# many directions, or bumps of a broad error, that counts: small, so that skies without any keep their error bars
+# assumed sizes of the shared errors before the residuals are seen, in the order of `shared_errors`, and the number of
+# directions, or bumps of a broad error, that they count for: small, so that skies without any keep their error bars
 _TAKEN, _STRENGTH = (5e-4, 3e-4, 2e-4, 5e-4, 3e-4), 1.0
-# the calibration's prior where the noise is not known either
+# sigma of the calibration's prior where the noise is not known either
 _CALIBRATION = 0.01
 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """What is known of how a sky was measured.
+    """What is known about the measurement of a sky.
 
     - `relative`, `floor`: standard deviation of a sample's noise, as a share of the sample and of the time's median
       radiance, added in quadrature. None: the file's sigma, or 0.02 and 0.05 where it has none.
     - `calibration`: standard deviation of the scale of each wavelength, which all times share and the fit finds with
       this prior; 0: exact. None: the file's, or 0 if the noise is given, by the file or here, else 0.01.
-    - `model_error`: relative size of each of the smooth errors of the model that `sigma` allows for (`error_shapes`):
-      by comparison with other solvers 0.006 for leaving polarisation out and 0.003 for a haze at another height; for
+    - `model_error`: relative size of each of the model's smooth errors that `sigma` includes (`error_shapes`).
+      Comparison with other solvers gives 0.006 for leaving polarisation out and 0.003 for a haze at another height; for
       skies that a solver of the same kind made, of known haze height, 0.001 (flat: 0.0005; drafts 0.004 and 0.002).
       None: that of the solver.
-    - `level`, `colour`, `pointing`: standard deviations of errors that all wavelengths of a direction share: relative,
-      of its level and of its colour (a slope and a bend in the logarithm of wavelength, of this size at the ends), and
-      of where it was looked, radians, on each of two axes. They widen sigma and weigh no sample. None: as large as the
+    - `level`, `colour`, `pointing`: standard deviations of errors that all wavelengths of a direction share. Level and
+      colour are relative; colour is a slope and a bend in the logarithm of wavelength, of this size at the ends.
+      Pointing is in radians, on each of two axes. These errors widen sigma but weight no sample. None: as large as the
       residuals show; 0: there are none.
-      Where each wavelength has views of its own so has each sample its error of pointing
-    - `broad_level`, `broad_colour`: the same of relative errors, of level and of a slope in the logarithm of
+      If each wavelength has its own views, each sample has its own pointing error
+    - `broad_level`, `broad_colour`: standard deviations of relative errors, of level and of a slope in the logarithm of
       wavelength, that views within some 0.6 rad share: stray light, an aerosol or a ground unlike the model's
     - `time_level`: relative error that all samples of a time share, which no residual shows
-    - `field_of_view`: full cone angle of what the instrument sees, radians; 0: a ray.
-    - `loss`: of a residual beyond `threshold` standard deviations: "squares", "huber" (linear) or "cauchy"
+    - `field_of_view`: full cone angle of the instrument's view, radians; 0: a ray.
+    - `loss`: loss of a residual beyond `threshold` standard deviations: "squares", "huber" (linear) or "cauchy"
       (logarithmic), against clouds, masts and flare.
 
     **Example:**
@@ -81,7 +81,7 @@ class NoiseModel:
             raise ValueError("`relative` and `floor` must not both be 0: no sample is exact")
 
     def stated(self, sky: Sky) -> bool:
-        """Whether the noise is given, by the measurement's owner or the sky's file."""
+        """Whether the noise is given, by this model or by the sky's file."""
         return self.relative is not None or self.floor is not None or sky.sigma is not None
 
     def sigma(self, sky: Sky, used: np.ndarray) -> np.ndarray:
@@ -101,7 +101,7 @@ class NoiseModel:
         return np.maximum(result, least if least > 0.0 else 1.0)
 
     def shared_errors(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """What is taken for errors in common, and how much that counts; inf: given."""
+        """The assumed sizes of the shared errors, and how much each counts; inf: given."""
         given = self.level, self.colour, self.pointing, self.broad_level, self.broad_colour
         sizes = tuple(t if g is None else g for g, t in zip(given, _TAKEN, strict=True))
         return sizes, tuple(_STRENGTH if g is None else float("inf") for g in given)

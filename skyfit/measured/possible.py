@@ -1,10 +1,10 @@
-"""What the numbers of a sky and of its station can be."""
+"""Checks of the shapes and the values of a sky and its station."""
 
 import numpy as np
 
 
-# what a station can be: in the troposphere, whose pressure `pressure_at_altitude` knows; the narrowest line shape
-# tells nm from m
+# possible values of a station, which lies in the troposphere, whose pressure `pressure_at_altitude` knows; the
+# narrowest line shape distinguishes nm from m
 STATION_RANGES = {
     "latitude_deg": (-90.0, 90.0, "degrees, north positive"),
     "longitude_deg": (-180.0, 360.0, "degrees, east positive"),
@@ -55,8 +55,8 @@ def check_shapes(sky) -> None:
 
 
 def check_values(sky) -> None:
-    """Raise unless the numbers of a sky are such as a sky can have."""
-    # of a shorter scan, past its end
+    """Raise unless the numbers of a sky are possible."""
+    # directions past the end of a shorter scan
     absent = np.isnan(sky.view_zenith) & np.isnan(sky.view_azimuth)
     nowhere = {"view_zenith": absent, "view_azimuth": absent}
     for name in ("view_zenith", "sun_zenith"):
@@ -129,7 +129,7 @@ def _check_response(sky):
 
 
 def extremes(values) -> str:
-    """The ends of some numbers, for an error of one line."""
+    """The smallest and largest of some numbers as text, for an error of one line."""
     values = np.asarray(values)
     if values.size == 0:
         return "none"

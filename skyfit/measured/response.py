@@ -1,4 +1,4 @@
-"""How an instrument sees a spectrum: at which wavelengths, the sun's light at them, what each channel reads."""
+"""How an instrument sees a spectrum: its wavelengths, the sun's light at them, and each channel's reading."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,17 +11,17 @@ from ..numerics import check_range, check_wavelength
 
 @dataclass(frozen=True)
 class LineShape:
-    """Wavelengths that are each seen through a Gaussian line, NaN or 0 nm wide at half maximum: as it is.
+    """Wavelengths that are each seen through a Gaussian line, or without one if the width is NaN or 0 nm.
 
-    Sunlight is convolved with it; the model, which is smooth where the sun's lines are not, stands for the line at its
-    centre.
+    Sunlight is convolved with the line. The model, which is smooth where the sun's lines are not, is taken at the
+    line's centre.
     """
 
     fwhm_nm: float
     weight: None = None
 
     def spectrum(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """The sky's own wavelengths."""
+        """The wavelengths at which the model is solved: the sky's own."""
         return wavelength_nm
 
     def sunlight(self, spectrum_nm: np.ndarray) -> np.ndarray:
@@ -32,13 +32,13 @@ class LineShape:
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Channels of a camera or photometer: what each makes of a spectrum.
+    """The spectral response of the channels of a camera or photometer.
 
     `wavelength_nm` `[spectrum]`, increasing and fine enough for a sum over them; `weight` `[channel, spectrum]`:
-    a channel's value is the sum of weight times spectral radiance (so that a width of band is in the weight);
+    a channel's value is the sum of weight times spectral radiance (the weight includes the width of a band);
     `names` of the channels, by default their mean wavelengths. A sky that has this as its `response` has an axis of
-    these channels in this order in place of wavelengths. `by_unit`: taken from the unit of the readings alone, so
-    that one which tells more of the instrument may stand in its place (`Sky.with_response`).
+    these channels in this order in place of wavelengths. `by_unit`: the response follows from the unit of the readings
+    alone, so that one that says more about the instrument may replace it (`Sky.with_response`).
 
     **Example:**
 
@@ -73,27 +73,27 @@ class Response:
 
     @property
     def centre_nm(self) -> np.ndarray:
-        """The mean wavelength of each channel, nm: what to give a sky as its `wavelength_nm`, in this order."""
+        """The mean wavelength of each channel, nm: the `wavelength_nm` to give a sky, in this order."""
         size = np.abs(self.weight)
         return size @ self.wavelength_nm / np.sum(size, axis=1)
 
     def spectrum(self, wavelength_nm: np.ndarray) -> np.ndarray:
-        """The response's own wavelengths, whatever those that label the sky's channels."""
+        """The wavelengths at which the model is solved: the response's own, not those that label the channels."""
         return self.wavelength_nm
 
     def sunlight(self, spectrum_nm: np.ndarray) -> np.ndarray:
-        """The sun's irradiance as it is, W m^-2 nm^-1."""
+        """The sun's irradiance without a line shape, W m^-2 nm^-1."""
         return np.asarray(extraterrestrial_irradiance(spectrum_nm), float)
 
     def take(self, channels: Sequence[int] | np.ndarray) -> "Response":
-        """Some of the channels, in an order of one's own."""
+        """Some of the channels, in the given order."""
         names = tuple(self.names[channel] for channel in channels)
         return Response(self.wavelength_nm, self.weight[np.asarray(channels, int)], names, self.by_unit)
 
     def same_as(self, other: "Response | None") -> bool:
-        """Whether another one makes the same of a spectrum, whatever its channels' names."""
+        """Whether another response has the same wavelengths and weights; names may differ."""
         pairs = () if other is None else ((self.wavelength_nm, other.wavelength_nm), (self.weight, other.weight))
-        # as files round them
+        # equal within the rounding of files
         return other is not None and all(a.shape == b.shape and np.allclose(a, b, rtol=1e-9) for a, b in pairs)
 
     @classmethod
@@ -104,7 +104,7 @@ class Response:
 
     @classmethod
     def eye(cls) -> "Response":
-        """Luminance Y in cd m^-2: 683 lm/W times the CIE 1931 observer's y, all that its unit tells."""
+        """Luminance Y in cd m^-2: 683 lm/W times the CIE 1931 observer's y, which follows from the unit alone."""
         eye = cls.xyz().take([1])
         return cls(eye.wavelength_nm, eye.weight, eye.names, by_unit=True)
 
@@ -116,7 +116,7 @@ class Response:
         return cls(wavelength, np.asarray(SRGB_FROM_XYZ, float) @ weights.T, ("R", "G", "B"))
 
 
-# How an instrument sees a spectrum, of either kind: `spectrum(wavelength_nm)`, where the model is solved for a sky of
-# these wavelengths; `sunlight(spectrum_nm)`, the sun's irradiance there as the instrument sees it; `weight`, by which a
-# channel's reading is a sum over radiances there, None where each is a channel
+# How an instrument sees a spectrum. Both kinds have `spectrum(wavelength_nm)`, the wavelengths at which the model is
+# solved for a sky of these wavelengths; `sunlight(spectrum_nm)`, the sun's irradiance there as the instrument sees it;
+# `weight`, with which a channel's reading is a sum over radiances there, None where each wavelength is a channel
 Seen = LineShape | Response

@@ -10,16 +10,16 @@ from .possible import check_shapes, check_values, extremes, STATION_RANGES
 from .response import LineShape, Response, Seen
 
 
-# of each time and wavelength, and of each sample besides, where a sky has them
+# optional quantities of each time and wavelength
 BEAM = "direct_irradiance", "direct_sigma", "aerosol_optical_depth", "aerosol_optical_depth_sigma"
-# of each sample besides
+# optional quantities of each sample
 DEGREE = "degree_of_polarisation", "degree_of_polarisation_sigma"
 _MOVING_VIEWS = "view_zenith_by_wavelength", "view_azimuth_by_wavelength"
 
 
 @dataclass(frozen=True, eq=False)
 class Sky:
-    """Measured spectral radiance of the sky with the mask of what can be used.
+    """Measured spectral radiance of the sky with the mask of the samples that can be used.
 
     **Arguments** (NumPy, float64; nothing here is traced by JAX)
 
@@ -27,32 +27,33 @@ class Sky:
     - `sigma`: standard deviation of `radiance`, same unit and shape, or None
     - `usable`: bool, same shape; False where missing, negative, saturated or suspect
     - `view_zenith`, `view_azimuth`: rad, azimuth clockwise from north; given as [direction], the same at all times, or
-      as [time, direction], as which they are held; both NaN past the end of a shorter scan
-    - `view_zenith_by_wavelength`, `view_azimuth_by_wavelength`: the same at each wavelength, rad,
-      [time, direction, wavelength], where the instrument follows the sun between them (a filter wheel); the former are
-      then about their means. None where all wavelengths look the same way
-    - `wavelength_nm`: nm, [wavelength], increasing; with a `response` what its channels are called, in their order
-    - `sun_zenith`, `sun_azimuth`: rad, in the frame of `view_azimuth`, [time], or [time, wavelength] where the sun has
+      as [time, direction]; held as the latter; both NaN past the end of a shorter scan
+    - `view_zenith_by_wavelength`, `view_azimuth_by_wavelength`: the views of each wavelength, rad,
+      [time, direction, wavelength], if the instrument follows the sun between them (a filter wheel); `view_zenith` and
+      `view_azimuth` are then about their means. None if all wavelengths have the same views
+    - `wavelength_nm`: nm, [wavelength], increasing; with a `response` the labels of its channels, in their order
+    - `sun_zenith`, `sun_azimuth`: rad, in the frame of `view_azimuth`, [time], or [time, wavelength] if the sun has
       moved between the wavelengths (a filter wheel takes its time); `sun_at` gives the mean
     - `time`: datetime64, UTC, [time]; NaT where unknown
     - `latitude_deg`, `longitude_deg`, `altitude_m`, `pressure_pa`: the station, NaN if unknown
-    - `ozone_du`: the column of ozone over it; `sun_distance_au`: from the Earth, used before the date's; NaN if unknown
-    - `made_by`: what made a simulated sky, in names and numbers as JSON holds them; empty for a measured one
+    - `ozone_du`: the column of ozone over the station; `sun_distance_au`: distance of the sun, used in preference to
+      that by the date; NaN if unknown
+    - `made_by`: what made a simulated sky, as names and numbers that JSON holds; empty for a measured sky
     - `fwhm_nm`: full width at half maximum of the instrument's Gaussian line shape, nm, or NaN
-    - `response`: the channels that stand in the place of wavelengths, and `radiance` is what they read; or None
-    - `direct_irradiance`, `direct_sigma`: of the sun's beam on a plane normal to it, W m^-2 nm^-1,
-      [time, wavelength], NaN where missing; None where it was not measured
-    - `aerosol_optical_depth`, `aerosol_optical_depth_sigma`: of the vertical column at each wavelength, as photometers
-      have it of that beam, air and gases taken out, [time, wavelength], NaN where missing; or None
-    - `degree_of_polarisation`, `degree_of_polarisation_sigma`: of the light of each sample, linear, in [0, 1],
-      [time, direction, wavelength], NaN where missing; or None
-    - `instrument`: what took the samples, in words; may be empty
-    - `follows_sun`: whether it finds the sun by itself, and so knows where it looks; views that move between the
-      wavelengths say so too
-    - `calibration_sigma`: standard deviation of the scale of each wavelength, relative, which all times share; NaN if
-      unknown. `sigma` is that of the noise alone then
-    - `masked`: reason -> count of samples that are not usable for it; `reason`: of each sample the place of its reason
-      among these, -1 for none, by which times are counted apart; None if not known
+    - `response`: the channels that replace wavelengths, so that `radiance` holds their readings; or None
+    - `direct_irradiance`, `direct_sigma`: irradiance of the sun's beam on a plane normal to it, W m^-2 nm^-1,
+      [time, wavelength], NaN where missing; None if it was not measured
+    - `aerosol_optical_depth`, `aerosol_optical_depth_sigma`: optical depth of the vertical column at each wavelength,
+      as photometers derive it from that beam without air and gases, [time, wavelength], NaN where missing; or None
+    - `degree_of_polarisation`, `degree_of_polarisation_sigma`: degree of linear polarisation of each sample's light, in
+      [0, 1], [time, direction, wavelength], NaN where missing; or None
+    - `instrument`: the instrument in words; may be empty
+    - `follows_sun`: whether the instrument finds the sun by itself, and so knows where it looks; views that move
+      between the wavelengths imply this
+    - `calibration_sigma`: relative standard deviation of the scale of each wavelength, which all times share; NaN if
+      unknown. If it is given, `sigma` is that of the noise alone
+    - `masked`: reason -> count of samples that it makes unusable; `reason`: index of each sample's reason among these,
+      -1 for none, with which each time can be counted by itself; None if not known
     - `notes`: what a user of the samples should know
     - `source`: file name
 
@@ -148,10 +149,10 @@ class Sky:
         check_values(self)
 
     def _hold_sun(self):
-        """Both of the sun's angles with an axis of wavelength where one of them varies along it, else without."""
+        """Hold both of the sun's angles with an axis of wavelength if one of them varies along it, else without."""
         angles = self.sun_zenith, self.sun_azimuth
         grid = self.radiance.shape[::2]
-        # a shape that is neither is for the check to refuse
+        # `check_shapes` refuses any other shape
         if not any(angle.shape == grid for angle in angles) or any(angle.shape[:1] != grid[:1] for angle in angles):
             return
         angles = [angle[:, None] if angle.ndim == 1 else angle for angle in angles]
@@ -162,17 +163,17 @@ class Sky:
 
     @property
     def seen(self) -> Seen:
-        """How the instrument sees a spectrum: by the channels of its response, or each wavelength by a line shape."""
+        """How the instrument sees a spectrum: through its response's channels, or a line shape at each wavelength."""
         return LineShape(self.fwhm_nm) if self.response is None else self.response
 
     def with_response(self, response: Response | None) -> "Sky":
-        """The sky with its samples as readings of a response: the rule by which `invert` and others take theirs.
+        """The sky with its samples as readings of a response; `invert` and others take their `response` this way.
 
-        **Arguments** `response`: None for the sky's own, which stands; given to a sky without one, or whose own is only
-        that of its unit (luminance), its channels are
-        put in the order of the sky's wavelengths by their mean wavelengths.
+        **Arguments** `response`: None keeps the sky's own. If the sky has none, or only that of its unit (luminance),
+        the channels are put in the order of the sky's wavelengths by their mean wavelengths.
 
-        **Valid** another one than the sky's own, another number of channels, or a line shape besides: `ValueError`.
+        **Valid** a response other than the sky's own, another number of channels, or a line shape besides is a
+        `ValueError`.
         """
         if response is None:
             return self
@@ -189,19 +190,19 @@ class Sky:
 
     @property
     def views(self) -> tuple[np.ndarray, np.ndarray]:
-        """Zenith angles and azimuths where each sample looks: [time, direction], or [time, direction, wavelength]."""
+        """Zenith angles and azimuths of each sample's view: [time, direction], or [time, direction, wavelength]."""
         if self.view_zenith_by_wavelength is None or self.view_azimuth_by_wavelength is None:
             return self.view_zenith, self.view_azimuth
         return self.view_zenith_by_wavelength, self.view_azimuth_by_wavelength
 
     @property
     def one_pattern(self) -> bool:
-        """Whether all times look in the same directions, whatever their wavelength."""
+        """Whether all times have the same views."""
         views = self.views
         return all(np.array_equal(view, np.broadcast_to(view[:1], view.shape), equal_nan=True) for view in views)
 
     def sun_at(self, time: int) -> tuple[float, float]:
-        """Zenith angle and azimuth of the sun at a time, rad; the mean where they differ between the wavelengths."""
+        """Zenith angle and azimuth of the sun at a time, rad; the mean over wavelengths if these differ."""
         zenith, azimuth = self.sun_zenith[time], self.sun_azimuth[time]
         if zenith.ndim == 0:
             return float(zenith), float(azimuth)
@@ -225,7 +226,7 @@ class Sky:
 
         **Arguments** `index`: which time; negative counts from the end.
 
-        **Returns** a `Sky`; `masked` is counted anew, "suspect" where neither `reason` nor the samples tell.
+        **Returns** a `Sky`; `masked` is counted anew, as "suspect" where neither `reason` nor the samples show why.
         """
         times = len(self.time)
         if not -times <= index < times:
@@ -245,7 +246,7 @@ class Sky:
         if self.reason is None or self.reason.shape != self.usable.shape:
             masked = _recount(parts["radiance"], parts["usable"], parts["view_zenith"])
             return replace(self, **parts, masked=masked, reason=None)
-        # places among the reasons that are left; what was masked since has none
+        # indices among the reasons that are left; samples masked since have none
         own, counts, reason = self.reason[part], {}, np.full(usable.shape, -1)
         for place, name in enumerate(self.masked):
             where = ~usable & (own == place)
@@ -269,7 +270,8 @@ class Sky:
         fully correlated neighbours, the cautious choice. A sun that moves between wavelengths is
         interpolated too. `masked` is counted anew.
 
-        **Valid** inside the range; outside it, `ValueError`. Of a sky with a `response` only channels, in any order.
+        **Valid** inside the range; outside it, `ValueError`. A sky with a `response` gives only its channels, in any
+        order.
         """
         wanted = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
         own = self.wavelength_nm
@@ -348,5 +350,5 @@ def _recount(radiance, usable, view_zenith):
 
 
 def time_names(sky: Sky) -> tuple[str, ...]:
-    """Each time of a sky as text, ISO in UTC, or its index where the file gives none."""
+    """Each time of a sky as text, ISO in UTC, or its index where the time is not known."""
     return tuple(f"time {i}" if np.isnat(t) else str(t.astype("datetime64[s]")) + "Z" for i, t in enumerate(sky.time))

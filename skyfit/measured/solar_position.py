@@ -1,4 +1,4 @@
-"""Where the sun stands, from time and place."""
+"""The position of the sun from time and place."""
 
 import numpy as np
 from jaxtyping import Float, Shaped
@@ -6,7 +6,7 @@ from jaxtyping import Float, Shaped
 from ..extras import require
 
 
-# the true elevation of a sun whose upper edge is seen at the horizon: to it the source has refraction
+# true elevation of a sun whose upper edge is seen at the horizon: the source gives refraction down to it
 _SETTING_DEG = -0.83337
 
 
@@ -21,16 +21,16 @@ def solar_position(
     """Apparent zenith angle and azimuth of the sun.
 
     The zenith angle is the apparent one, with refraction: it is where an instrument sees the sun.
-    Refraction is 0.02 degrees at zenith angle 45, 0.5 at the horizon, and stays what it is at sunset below it.
+    Refraction is 0.02 degrees at zenith angle 45 and 0.5 at the horizon. After sunset it keeps its value at sunset.
 
     **Arguments**
 
     - `time`: datetime64, UTC, [time]
     - `latitude`, `longitude`: degrees, north and east positive
     - `altitude`: m above sea level
-    - `pressure`: Pa, for the refraction; of the standard atmosphere at `altitude` if None
-    - `refracted`: the share of the refraction that counts. Light that straight rays bring from a low sun is nearest to
-      that of bent rays with half of it (experiments/results/refraction.json)
+    - `pressure`: Pa, for the refraction; that of the standard atmosphere at `altitude` if None
+    - `refracted`: the share of the refraction that counts. With one half of it, the light of a low sun along straight
+      rays is nearest to that along bent rays (experiments/results/refraction.json)
 
     **Returns** zenith and azimuth (clockwise from north), rad, [time].
 
@@ -64,9 +64,9 @@ def solar_position(
 
 
 def refraction(elevation_deg: Float[np.ndarray, " time"], pressure: float) -> Float[np.ndarray, " time"]:
-    """How much higher the sun is seen than it stands, degrees; below its setting that of its setting.
+    """How much higher the sun is seen than it is, degrees; after sunset the value at sunset.
 
-    **Arguments:** `elevation_deg`, the true one; `pressure`, Pa; at 12 degrees Celsius.
+    **Arguments:** `elevation_deg`, the true elevation; `pressure`, Pa; at 12 degrees Celsius.
     """
     above = np.maximum(elevation_deg, _SETTING_DEG)
     bent = 1.02 / (60.0 * np.tan(np.deg2rad(above + 10.3 / (above + 5.11))))

@@ -1,4 +1,4 @@
-"""What the place and the day of a sky mean for the light: the air above it, and how far the sun is."""
+"""The pressure and the sun's distance at a station, from its place and the day."""
 
 import numpy as np
 from jaxtyping import Float
@@ -8,7 +8,7 @@ from ..light import earth_sun_factor
 from .samples import Sky
 
 
-# of Rayleigh scattering, 0.097 at 550 nm and sea level
+# effect of the pressure on the optical depth of Rayleigh scattering, 0.097 at 550 nm and sea level
 _PRICE = "1 % off is 0.001 of optical depth at 550 nm"
 
 
@@ -18,7 +18,7 @@ def day_of_year(time: np.datetime64) -> int:
 
 
 def station_pressure(sky: Sky) -> tuple[float, str]:
-    """The pressure at the station, Pa, by the file or by its altitude, and a note where it is assumed."""
+    """The pressure at the station, Pa, by the file or by its altitude, and a note if it is assumed."""
     if np.isfinite(sky.pressure_pa):
         return sky.pressure_pa, ""
     if np.isfinite(sky.altitude_m) and sky.altitude_m != 0.0:
@@ -29,7 +29,7 @@ def station_pressure(sky: Sky) -> tuple[float, str]:
 
 
 def sun_factor(sky: Sky) -> tuple[Float[np.ndarray, " time"], str]:
-    """The sun's irradiance at each time by that at 1 au, by the file's distance or the date, and a note if neither is.
+    """The sun's irradiance at each time over that at 1 au, and a note where neither its distance nor a date is known.
 
     **Returns:** `[time]`, dimensionless; 1 at times whose date is not known.
     """

@@ -1,4 +1,4 @@
-"""Units as files spell them, and the factor to the units used inside."""
+"""The units that files spell, and their factors to the units of this package."""
 
 import re
 
@@ -53,7 +53,7 @@ _ANGLE = ("sr", "steradian", "steradians", "ster")
 def radiance_factor(units: str) -> float:
     """The factor that turns a spectral radiance in `units` into W m^-2 sr^-1 nm^-1.
 
-    **Arguments** `units`: as in a file, such as "W m-2 sr-1 nm-1", "mW/(m^2 sr nm)".
+    **Arguments** `units`: as spelled in a file, such as "W m-2 sr-1 nm-1", "mW/(m^2 sr nm)".
 
     **Returns** the factor, 1.0 for W m^-2 sr^-1 nm^-1.
 
@@ -101,7 +101,7 @@ def _factor(units, wanted):
 
 
 def _factors(text, units, wanted):
-    """(name, exponent) of a product; a slash divides by what follows, or by its bracket."""
+    """(name, exponent) of each factor; a slash divides by the next factor, or by its bracket."""
     factors, sign, in_bracket, place = [], 1, False, 0
     text = text.strip()
     while place < len(text):

@@ -16,7 +16,7 @@ _WRITERS = {".nc": write_netcdf, ".csv": write_tidy}
 
 @contextmanager
 def atomic(path: str | os.PathLike) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its place once the block has succeeded.
+    """Yield a temporary path beside `path` that replaces it once the block has succeeded.
 
     **Arguments** `path`: the file to write; an existing one is replaced.
 
@@ -24,7 +24,7 @@ def atomic(path: str | os.PathLike) -> Iterator[Path]:
 
     **Valid** a regular file in a folder that exists; otherwise `ValueError`.
     """
-    # A link stays a link: what it points to is replaced.
+    # A link stays a link: its target is replaced.
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise ValueError(f"{os.fspath(path)}: expected an existing folder to write to, found none")
@@ -47,8 +47,8 @@ def write_sky(sky: Sky, path: str | os.PathLike) -> None:
     **Arguments** `path`: `*.nc` (NetCDF 4) or `*.csv` (tidy table).
 
     **Valid** any other suffix is a `ValueError`; a failure leaves no file and keeps an old one.
-    What each masked sample was masked for is not written: it reads back as "suspect" unless its
-    value tells.
+    The reason of each masked sample is not written: it reads back as "suspect" unless its value
+    shows the reason.
 
     **Example:**
 

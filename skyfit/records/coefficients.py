@@ -1,15 +1,15 @@
 """Refitted coefficients of Preetham's model as JSON.
 
-Schema "skyfit.coefficients", version 3: `form`, "linear" or "extended"; `formula`, `axes` and `units` say what the
-numbers are; `published` and `refitted`. Of the linear form each holds `distribution` `[Y x y][A B C D E][slope,
+Schema "skyfit.coefficients", version 3: `form`, "linear" or "extended"; `formula`, `axes` and `units` explain the
+numbers; `published` and `refitted`. In the linear form each holds `distribution` `[Y x y][A B C D E][slope,
 constant]`, `zenith_luminance` `[tangent offset angle][slope, constant]` (kcd m^-2) and `zenith_chromaticity`
-`[x y][T^2 T 1][cube square linear constant]`; of the extended form `refitted` holds `coefficients` `[Y x y]
+`[x y][T^2 T 1][cube square linear constant]`; in the extended form `refitted` holds `coefficients` `[Y x y]
 [6 numbers][turbidity][sun]` of `skyfit.ExtendedPreetham`. `valid`, the suns and turbidities fitted; `fitted` and
 `held_out` (random skies of that range): `skies`, by column, with the median and 95th percentile of the relative
 luminance error and the median chromaticity distance to view zenith 80 degrees; `overall`, the same over all those
-directions of skies with the sun to 85 degrees; `rest`, over all others; `simulated`, where given, the settings of the
-skies, by the names of the command line's options; `result`, how each joint fit ended. What is not known, such as the
-error of the published formula out of its range, is null. `write_evaluator` writes code that evaluates them.
+directions of skies with the sun to 85 degrees; `rest`, over all others; `simulated`, if given, the settings of the
+skies, by the names of the command line's options; `result`, how each joint fit ended. Unknown numbers, such as the
+error of the published formula out of its range, are null. `write_evaluator` writes code that evaluates them.
 """
 
 import json
@@ -65,10 +65,10 @@ _UNITS = {
 
 
 def write_coefficients(refit: Refit, path, settings: Mapping[str, Any] | None = None) -> None:
-    """Published and refitted coefficients with their errors, in the schema of this module.
+    """Write published and refitted coefficients with their errors, in the schema of this module.
 
-    **Arguments:** `refit`; `path` of a JSON file; `settings`, what the skies were simulated with, by name.
-    **Errors:** `ValueError` where the file cannot be written.
+    **Arguments:** `refit`; `path` of a JSON file; `settings`, those that the skies were simulated with, by name.
+    **Errors:** `ValueError` if the file cannot be written.
     """
     degrees, turbidity = np.degrees(refit.fitted.sun_zenith), refit.fitted.turbidity
     form = "linear" if isinstance(refit.refitted, Preetham) else "extended"
@@ -95,10 +95,10 @@ def write_coefficients(refit: Refit, path, settings: Mapping[str, Any] | None = 
 
 
 def read_coefficients(path) -> Preetham | ExtendedPreetham:
-    """The refitted model of a file that `write_coefficients` made.
+    """Read the refitted model of a file that `write_coefficients` made.
 
-    **Arguments:** `path`. **Returns:** `ExtendedPreetham` or `Preetham`, valid where the file says.
-    **Errors:** `ValueError` naming the file and what is wrong with it.
+    **Arguments:** `path`. **Returns:** `ExtendedPreetham` or `Preetham`, valid in the range that the file states.
+    **Errors:** `ValueError` that names the file and what is wrong with it.
 
     **Example:**
 
@@ -121,7 +121,7 @@ def read_coefficients(path) -> Preetham | ExtendedPreetham:
     except (OSError, ValueError) as error:
         raise ValueError(f"{path.name}: expected a JSON file of coefficients, found {error}") from None
     found = (record.get("schema"), record.get("version")) if isinstance(record, dict) else (None, None)
-    # what is read of it has not changed since version 2
+    # the parts that are read here have not changed since version 2
     if found not in ((_SCHEMA, 2), (_SCHEMA, _VERSION)):
         raise ValueError(
             f'{path.name}: expected the schema "{_SCHEMA}" version {_VERSION}, found {found[0]} {found[1]}'
@@ -178,11 +178,11 @@ def _comparison(of: Comparison) -> dict:
 
 
 def _number(value) -> float | None:
-    """To four digits, for an error has no more."""
+    """The number rounded to four digits, for an error has no more, or None if it is not finite."""
     return float(f"{value:.4g}") if np.isfinite(value) else None
 
 
 def _as_lists(model, shapes) -> dict:
-    """Numbers in as few digits as bring them back."""
+    """The numbers in as few digits as restore them."""
     arrays = {name: np.asarray(getattr(model, name)) for name in shapes}
     return {n: np.array([float(digits(v)) for v in a.ravel()]).reshape(a.shape).tolist() for n, a in arrays.items()}

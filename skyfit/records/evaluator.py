@@ -1,8 +1,9 @@
-"""Analytic skies as self-contained source code for shaders and engines: the formula, its numbers, one value to test.
+"""Write analytic skies as self-contained source code for shaders and engines: formula, numbers, one value to test.
 
-GLSL (ES 3.00 and desktop 3.30), HLSL and C share one text, in what the three languages have in common; Python has its
-own, of numpy alone. A sky becomes two functions: the first makes 18 numbers of turbidity and sun, once a frame; the
-second makes light of them, for each pixel. For one sky only the 18 numbers are written.
+GLSL (ES 3.00 and desktop 3.30), HLSL and C share one text, written in the subset that the three languages have in
+common. Python has its own text, which needs only numpy. A sky becomes two functions. The first computes 18 numbers from
+turbidity and sun, once per frame. The second computes the light of each pixel from these. For one sky only the 18
+numbers are written.
 """
 
 import math
@@ -23,12 +24,12 @@ from ..scene import unit_vectors
 
 
 Language = Literal["glsl", "hlsl", "c", "python"]
-# where the value to test is taken: turbidity, and degrees of the sun's zenith, the view's zenith, and between azimuths
+# the point of the value to test: turbidity, and degrees of the sun's zenith, the view's zenith, and between azimuths
 _TESTED = (3.0, 50.0, 70.0, 40.0)
 
 
 class _Dialect(NamedTuple):
-    """What a language writes differently: comments, its first line, a table's beginning and end, functions, results."""
+    """The differences of a language: comments, its first line, a table's beginning and end, functions, results."""
 
     comment: str
     first: str
@@ -61,14 +62,14 @@ def write_evaluator(
     turbidity: float | None = None,
     sun_zenith: float | None = None,
 ) -> None:
-    """Source code that evaluates an analytic sky without skyfit.
+    """Write source code that evaluates an analytic sky without skyfit.
 
     **Arguments:** `sky`, `Preetham` or `ExtendedPreetham`; `path` of the file; `to`: "glsl", "hlsl", "c" or "python";
-    `turbidity` and `sun_zenith` (rad), together, of the one sky to write: the 18 numbers of a frame, without the table.
-    **Errors:** `ValueError` for another sky or language, a turbidity or sun that the sky has no answer for, and a file
+    `turbidity` and `sun_zenith` (rad), given together, select one sky: the 18 numbers of a frame, without the table.
+    **Errors:** `ValueError` for another sky or language, a turbidity or sun for which the sky has no answer, and a file
     that cannot be written.
-    **Valid:** above the horizon and within the range of the fit, at whose edge turbidity and sun are kept; there within
-    1e-4 of the largest component of `sky.rgb`, in float32 too (tests). Below the horizon the light is the horizon's.
+    **Valid:** above the horizon and within the range of the fit; turbidity and sun are clipped to it. There the light
+    is within 1e-4 of the largest component of `sky.rgb`, in float32 too (tests). Below the horizon it is the horizon's.
     """
     text = evaluator(sky, to, turbidity=turbidity, sun_zenith=sun_zenith)
     with atomic(Path(path)) as temporary:
@@ -78,7 +79,7 @@ def write_evaluator(
 def evaluator(
     sky: AbstractAnalyticSky, to: Language, *, turbidity: float | None = None, sun_zenith: float | None = None
 ) -> str:
-    """The text that `write_evaluator` writes, and its arguments."""
+    """The text that `write_evaluator` writes, from the same arguments."""
     if to not in _DIALECTS:
         raise ValueError(f"`to` must be one of {', '.join(_DIALECTS)}, got {to!r}")
     if not isinstance(sky, Preetham | ExtendedPreetham):
@@ -123,7 +124,7 @@ def evaluator(
 
 
 def _head(sky: Preetham | ExtendedPreetham, to: Language, one: bool, haze: float, sun: float) -> str:
-    """What the file is, in comments."""
+    """The head of the file, in comments."""
     low, high = sky.fitted_turbidity
     highest, lowest = sky.fitted_sun
     of = f"at turbidity {haze:g} with the sun {math.degrees(sun):g} degrees from the zenith" if one else "of any sun"
@@ -146,12 +147,12 @@ def _head(sky: Preetham | ExtendedPreetham, to: Language, one: bool, haze: float
 
 
 def digits(value: np.floating) -> str:
-    """As few as bring a number of its precision back, with a point. `str` has fewer once colour-science is loaded."""
+    """As few digits as restore a number, with a point. `str` has fewer once colour-science is loaded."""
     return np.format_float_positional(value, unique=True, trim="0")
 
 
 def _table(dialect: _Dialect, name: str, values) -> str:
-    """Numbers of a table in its order in memory, eight to a line."""
+    """The numbers of a table in their order in memory, eight to a line."""
     flat = np.asarray(values).ravel()
     words = [digits(value) for value in flat]
     lines = [", ".join(words[first : first + 8]) for first in range(0, flat.size, 8)]
@@ -160,7 +161,7 @@ def _table(dialect: _Dialect, name: str, values) -> str:
 
 
 def _numbers(sky: Preetham | ExtendedPreetham) -> dict[str, str]:
-    """The numbers that stand in the text, by name."""
+    """The numbers in the text, by name."""
     low, high = sky.fitted_turbidity
     first, last = sky.fitted_sun
     found = {
@@ -178,18 +179,18 @@ def _numbers(sky: Preetham | ExtendedPreetham) -> dict[str, str]:
 
 
 def _horner(coefficients: tuple[float, ...]) -> str:
-    """Statements that make `arc` a polynomial in m, from its highest power on."""
+    """Statements that evaluate `arc`, a polynomial in m, from its highest power on."""
     first, *others = (f"{value:.9g}" for value in coefficients)
     return "\n  ".join([f"float arc = {first};", *(f"arc = arc * m + {word};" for word in others)]).replace("+ -", "- ")
 
 
 def _chord(sun: float, view: float, around: float) -> float:
-    """The squared distance of two unit vectors, by their zenith angles and the azimuth between."""
+    """The squared distance of two unit vectors, from their zenith angles and the azimuth between them."""
     return float(np.sum((unit_vectors(sun, 0.0) - unit_vectors(view, around)) ** 2))
 
 
 def _rgb(sky: AbstractAnalyticSky, turbidity: float, sun_zenith: float, view: float, around: float) -> np.ndarray:
-    """What skyfit itself says."""
+    """The value that skyfit itself computes."""
     light = sky.rgb(turbidity, unit_vectors(sun_zenith, 0.0), jnp.asarray(unit_vectors(view, around))[:, None])
     return np.asarray(light)[:, 0]
 

@@ -1,9 +1,9 @@
-r"""Fits of many skies, written as they come: `fit_many` and `read_fits`.
+r"""Fits of many skies, written chunk by chunk: `fit_many` and `read_fits`.
 
-Each chunk that is finished is a file of its own in the folder `PATH.parts`, written beside its place and moved there,
-so that no kill can spoil one: a later run of the same call takes what is there and goes on. The last step joins all in
-`PATH`, as NetCDF with the dimensions time, parameter and wavelength, and removes the folder. `settings.json` in the
-folder, and attributes in the file, say of which sky and by which settings the fits are.
+Each finished chunk becomes a file of its own in the folder `PATH.parts`. It is written beside its place and then moved
+there, so that no kill can damage it. A later run of the same call takes the chunks that are there and goes on. The last
+step joins all chunks in `PATH`, as NetCDF with the dimensions time, parameter and wavelength, and removes the folder.
+`settings.json` in the folder, and attributes in the file, state the sky and the settings of the fits.
 """
 
 import hashlib
@@ -77,20 +77,20 @@ def fit_many(
     guess: bool = True,
     starts: int = 1,
 ) -> Fits:
-    """Each time of a sky, or each pixel that stands for one, fitted by itself, in chunks of one compiled call.
+    """Fit each time of a sky, or each pixel that stands for one, by itself, in chunks of one compiled call.
 
     **Arguments:** those that are not named here are as in `skyfit.invert`
 
-    - `path`, `*.nc`: each finished chunk is kept, so that the same call after a kill goes on where it was. A file of
-      the same call that is complete is only read
+    - `path`, `*.nc`: each finished chunk is kept, so that the same call after a kill continues where it stopped. A
+      complete file of the same call is only read
     - `chunk`: times in a call; `batch_size`: how many of them run in lock-step, 1 for a CPU, more for an accelerator
-    - `progress(done, of)` is called after each chunk, with times
+    - `progress(done, of)` is called after each chunk, with numbers of times
 
     **Returns:** `Fits`. A time that cannot be fitted has NaN and a result that says why; the others are as if alone.
-    **Valid:** chunks are split over all of JAX' local devices. Results do not depend on `chunk`; with `batch_size`, by
+    **Valid:** chunks are split over all of JAX' local devices. Results do not depend on `chunk`, and on `batch_size` by
     rounding only.
-    **Errors:** `ValueError` as `invert` for names and settings, for a sky without any usable sample, and for a `path`
-    that holds anything else.
+    **Errors:** `ValueError` as in `invert` for names and settings, for a sky without any usable sample, and for a
+    `path` that holds anything else.
 
     **Example:**
 
@@ -108,7 +108,7 @@ def fit_many(
         if not (isinstance(value, int) and value >= 1):
             raise ValueError(f"`{name}` must be a whole number of 1 or more, got {value!r}")
     asked = prepared(sky, free, solver, start, fwhm_nm, max_steps, (), measurement, response, priors, None, draft)
-    # one more solver to compile pays over many skies
+    # compiling one more solver pays off over many skies
     if draft is None:
         asked = replace(asked, slopes=asked.solver.coarser())
     settings = _settings(asked, max_steps, guess, starts)
@@ -139,12 +139,12 @@ def fit_many(
 
 
 def _settings(asked: Prepared, max_steps: int, guess: bool, starts: int) -> dict[str, str]:
-    """All that the numbers depend on, as text."""
+    """All inputs that the results depend on, as text."""
     sky, response = asked.sky, asked.sampling.response
     station = tuple(getattr(sky, name) for name in STATION_RANGES if name != "fwhm_nm")
     samples = np.where(sky.usable, sky.radiance, np.nan)
     views = [view[0] if sky.one_pattern else view for view in sky.views]
-    # told only where there are some: the digest of other skies stays as it was
+    # included only if there are some: the digest of other skies stays as it was
     depths = [v for v in (sky.aerosol_optical_depth, sky.aerosol_optical_depth_sigma) if v is not None]
     depths += [np.array(sky.calibration_sigma)] if np.isfinite(sky.calibration_sigma) else []
     if sky.degree_of_polarisation is not None:
@@ -187,7 +187,7 @@ def _digest(*arrays) -> str:
 
 
 def _opened(target: Path, settings: dict[str, str]) -> Path:
-    """The folder for the parts of a file, made if it is not there, after a check of what is there already."""
+    """The folder for the parts of a file, made if it is missing, after a check of its content."""
     if target.suffix.lower() != ".nc":
         raise ValueError(f"{target.name}: expected a suffix of .nc, found {target.suffix!r}")
     if target.is_dir():
@@ -228,11 +228,11 @@ def _refuse_other(path: Path, found: dict, settings: dict[str, str]) -> None:
 
 
 def _kept(parts: Path) -> list[dict[str, np.ndarray]]:
-    """The chunks that an earlier run finished; one that a failing disc has spoilt counts as never made."""
+    """The chunks that an earlier run finished; a damaged file is removed and counts as never made."""
     chunks = []
     for file in sorted(parts.glob("[0-9]*.npz")):
         try:
-            # opened here: NumPy leaves a file open that is no archive
+            # open the file here: NumPy leaves a file open if it is no archive
             with open(file, "rb") as stream, np.load(stream, allow_pickle=False) as data:
                 chunks.append({name: data[name] for name in data.files})
         except (OSError, ValueError, EOFError, zipfile.BadZipFile):
@@ -267,10 +267,10 @@ def _write(fits: Fits, file: Path) -> None:
 
 
 def read_fits(path: str | os.PathLike) -> Fits:
-    """The fits of a file that `fit_many` wrote.
+    """Read the fits of a file that `fit_many` wrote.
 
     **Arguments:** `path`, `*.nc`. **Returns:** `Fits`.
-    **Errors:** a one-line `ValueError` that names the file for everything else.
+    **Errors:** a one-line `ValueError` that names the file for any other file.
 
     **Example:**
 

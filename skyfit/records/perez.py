@@ -1,4 +1,4 @@
-"""Perez' parameters of measured skies as a table that others read."""
+"""Write Perez' parameters of measured skies as a table."""
 
 import os
 from math import degrees
@@ -9,11 +9,12 @@ from ..measured import atomic, time_names
 
 
 def write_perez(found: SkyPerez, path: str | os.PathLike) -> None:
-    """A row for each time and kind of light: time (UTC), light, the sun's zenith angle (degrees), the five
-    coefficients, sigma of each, covariance of each two, the zenith's light and its sigma, relative rmse, directions,
-    settled.
+    """Write a table with a row for each time and kind of light.
 
-    **Errors:** `ValueError` for a suffix other than .csv, and where nothing can be written; an older file then stays.
+    The columns are time (UTC), light, the sun's zenith angle (degrees), the five coefficients, sigma of each,
+    covariance of each two, the zenith's light and its sigma, relative rmse, directions, settled.
+
+    **Errors:** `ValueError` for a suffix other than .csv, and if nothing can be written; an older file then stays.
     """
     path = Path(path)
     if path.suffix != ".csv":

@@ -1,4 +1,4 @@
-"""The products of a haze as files that others read."""
+"""Write the products of a haze as NetCDF or as a table."""
 
 import os
 from pathlib import Path
@@ -17,11 +17,11 @@ _COLUMNS = "time", "quantity", "wavelength_nm", "radius_um", "value", "sigma", "
 
 
 def write_products(products: "xarray.Dataset", path: str | os.PathLike) -> None:
-    """What `aerosol_products` states, as NetCDF 4 (`*.nc`) or as a table (`*.csv`) with a row for each number.
+    """Write the result of `aerosol_products` as NetCDF 4 (`*.nc`) or as a table (`*.csv`) with a row for each number.
 
-    The columns are time (UTC), quantity, wavelength_nm, radius_um, value, sigma (inf: not determined) and unit; what a
-    quantity does not depend on is empty. **Errors:** `ValueError` for another suffix, and where nothing can be written,
-    in which case an older file stays.
+    The columns are time (UTC), quantity, wavelength_nm, radius_um, value, sigma (inf: not determined) and unit. The
+    cell of a wavelength or radius on which a quantity does not depend is empty. **Errors:** `ValueError` for another
+    suffix, and if nothing can be written, in which case an older file stays.
 
     **Example:**
 

@@ -1,4 +1,4 @@
-"""What a fit says of the haze beyond its own parameters: optical depths, exponents, albedos, radii and their errors."""
+"""Haze optics derived from the parameters of a fit: optical depths, exponents, albedos, radii and their errors."""
 
 from collections.abc import Callable
 from typing import NamedTuple, TYPE_CHECKING
@@ -19,7 +19,7 @@ from .result import Fit
 if TYPE_CHECKING:
     import xarray
 
-# nm, where sun photometers state them (AERONET's almucantars)
+# wavelengths in nm at which sun photometers state the optics (AERONET's almucantars)
 _WAVELENGTHS = (440.0, 675.0, 870.0)
 _SPHERES = TwoModeAerosol | BinnedAerosol
 
@@ -33,14 +33,14 @@ class Derived(NamedTuple):
 
 
 def aerosol_optics(fit: Fit) -> dict[str, Derived]:
-    r"""The optics of a fitted haze by name, as sun photometers state them.
+    r"""Derive the optics of a fitted haze that sun photometers state, by name.
 
-    At 440, 675 and 870 nm `aerosol_optical_depth_*`, `single_scattering_albedo_*` and `asymmetry_*`, the mean cosine of
-    the phase function; `angstrom_exponent_440_870`; of spheres also `fine_effective_radius`,
-    `coarse_effective_radius` and `effective_radius` of both.
+    The names at 440, 675 and 870 nm are `aerosol_optical_depth_*`, `single_scattering_albedo_*` and `asymmetry_*`, the
+    mean cosine of the phase function. One name is `angstrom_exponent_440_870`. Haze of spheres also has
+    `fine_effective_radius`, `coarse_effective_radius` and `effective_radius` of both.
 
-    **Arguments:** `fit` of any haze but one given per wavelength. **Returns:** empty without such a haze. Sigma is
-    $\sqrt{G C G^T}$ with the parameters' covariance C and the gradient G: what is held fixed has no error here.
+    **Arguments:** `fit` of any haze except one given per wavelength. **Returns:** empty without such a haze. Sigma is
+    $\sqrt{G C G^T}$ with the parameters' covariance C and the gradient G. Fixed parameters contribute no error.
     **Valid:** the wavelengths of a fit; beyond them the numbers follow from the model's laws.
     """
     if not _has_optics(fit):
@@ -54,18 +54,18 @@ def aerosol_products(
     wavelength_nm: Float[ArrayLike, " wavelength"] | None = None,
     radius_um: Float[ArrayLike, " radius"] | None = None,
 ) -> "xarray.Dataset":
-    r"""What a photometer's network states of a haze, at the instrument's own wavelengths, each number with its sigma.
+    r"""Derive the haze products that photometer networks state, at the instrument's own wavelengths, with their sigma.
 
     By `time` and `wavelength` (nm): `aerosol_optical_depth`, `absorption_optical_depth`, `single_scattering_albedo`,
-    `asymmetry`, and of spheres `refractive_index` and `absorption_index`. Of spheres by `time` and `radius` (um):
+    `asymmetry`, and for spheres `refractive_index` and `absorption_index`. For spheres by `time` and `radius` (um):
     `volume_size_distribution`, $dV/d\ln r$ of the column in um^3/um^2; by `time`: `fine_volume`, `coarse_volume`
-    (um^3/um^2), `fine_effective_radius`, `coarse_effective_radius`, `effective_radius` (um). `<name>_sigma` of each, as
-    `aerosol_optics` has it.
+    (um^3/um^2), `fine_effective_radius`, `coarse_effective_radius`, `effective_radius` (um). Each has a `<name>_sigma`,
+    computed as in `aerosol_optics`.
 
-    **Arguments:** `fit`; `wavelength_nm`, default those that were fitted, or 440, 675 and 870 where channels were;
+    **Arguments:** `fit`; `wavelength_nm`, default the fitted wavelengths, or 440, 675 and 870 if channels were fitted;
     `radius_um`, default AERONET's 22 from 0.05 to 15.
     **Returns:** a dataset, which `to_netcdf` and `write_products` write. **Errors:** `ValueError` for a haze without
-    such optics, for wavelengths that it does not know, and for radii of 0 or less.
+    such optics, for wavelengths that it does not know, and for radii outside 0.001 to 1000 um.
     """
     require("xarray")
     import xarray
@@ -96,8 +96,8 @@ def _has_optics(fit: Fit) -> bool:
 
 
 def _with_sigma(fit: Fit, numbers: Callable[[SkyModel], dict]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Numbers of a model by name, each of any shape, at each time of a fit, and their sigma."""
-    # in the dtype of this process, whatever that of the fit was
+    """Evaluate `numbers` of the model, each of any shape, at each time of a fit, and their sigma."""
+    # use the dtype of this process, which may differ from that of the fit
     start = jax.tree.map(lambda leaf: as_float(np.asarray(leaf)), fit.start)
     shapes = {name: leaf.shape for name, leaf in jax.eval_shape(numbers, start).items()}
     ends = np.cumsum([int(np.prod(shape)) for shape in shapes.values()])
@@ -111,7 +111,7 @@ def _with_sigma(fit: Fit, numbers: Callable[[SkyModel], dict]) -> dict[str, tupl
     gradient = np.asarray(jax.lax.map(jax.jacfwd(row_of), values), float)
     known = np.where(np.isfinite(fit.covariance), fit.covariance, 0.0)
     variance = np.einsum("tqp,tpr,tqr->tq", gradient, known, gradient)
-    # a parameter of which nothing is known leaves nothing known of what depends on it
+    # a number that depends on an undetermined parameter is undetermined too
     open_ended = ~np.isfinite(np.einsum("tpp->tp", fit.covariance))
     touched = np.any((gradient != 0.0) & open_ended[:, None], axis=2)
     sigma = np.where(touched, np.inf, np.sqrt(np.maximum(variance, 0.0)))
@@ -162,7 +162,7 @@ def _numbers(model: SkyModel) -> dict:
         )
         for i, nm in enumerate(_WAVELENGTHS)
     }  # fmt: skip
-    # without haze it has no exponent
+    # without haze there is no exponent
     safe = jnp.where(depth > 0.0, depth, 1.0)
     slope = jnp.log(safe[0] / safe[-1]) / np.log(_WAVELENGTHS[-1] / _WAVELENGTHS[0])
     numbers["angstrom_exponent_440_870"] = slope

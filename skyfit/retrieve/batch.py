@@ -1,4 +1,4 @@
-"""Every time of a sky fitted by itself, many in one call: long series and pixels."""
+"""Fit every time of a sky by itself, many in one call: long series and pixels."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -26,7 +26,7 @@ from .result import FEW
 from .retrieve import retrieve
 
 
-# how a time can end; all but the first three have NaN for values
+# possible results of a time; all but the first three have NaN for values
 RESULTS = (
     "successful", "poor_fit", "max_steps_reached", "failed", "no_samples", "too_few_samples", "sun_below_horizon",
     "sun_too_low", "not_a_sky",
@@ -41,19 +41,18 @@ class Fits:
     - `values`, `sigma`, `model_sigma`, `at_bound`, `determined` `[time, parameter]` and `covariance` `[time, parameter,
       parameter]` as in `Fit`, in the order of `free`, units as in `PARAMETERS`; NaN (false) where a time has none
     - `reduced_chi_square`, `scale`, `widening`, `degrees_of_freedom` `[time]` and `common` `[time, kind]` as in `Fit`;
-      `rmse` `[time]`, W m^-2 sr^-1 nm^-1,
-      over the usable samples at the fitted wavelengths, `samples` of them
+      `rmse` `[time]`, W m^-2 sr^-1 nm^-1, over the usable samples at the fitted wavelengths; `samples` `[time]`, the
+      number of these
     - `calibration`, `calibration_sigma` `[time, fitted wavelength]`: the instrument's scale, 1 where it is not fitted
     - `steps` `[time]`, `cost` `[time]`: half the sum of squares after the loss
-    - `result` `[time]`, among `RESULTS`: "successful"; "poor_fit" (residuals beyond a quarter of the mean radiance,
-      outliers left out) and
-      "max_steps_reached", whose numbers do not hold; without any "failed" (not finite), "no_samples", "too_few_samples"
-      (fewer than parameters), "sun_below_horizon", "sun_too_low" (for the solver), "not_a_sky" (no sunlight makes such
-      radiance)
-    - `notes` `[time]`: sentences on what is odd about a time's samples, sun or residuals; `sky_notes`: those that hold
-      for all times, of the sky and of what is assumed where it is silent, as in `Fit.notes`; `fixed`: what was not
-      fitted
-    - `settings`: what was asked for and of which sky, as text; `time` `[time]`, UTC, NaT where unknown
+    - `result` `[time]`, one of `RESULTS`. "successful". "poor_fit" (residuals beyond a quarter of the mean radiance,
+      without outliers) and "max_steps_reached" have numbers that are not reliable. The others have no numbers: "failed"
+      (not finite), "no_samples", "too_few_samples" (fewer than parameters), "sun_below_horizon", "sun_too_low" (for the
+      solver), "not_a_sky" (sunlight cannot make such radiance)
+    - `notes` `[time]`: sentences on oddities of a time's samples, sun or residuals; `sky_notes`: sentences that hold
+      for all times, about the sky and about assumptions where it states nothing, as in `Fit.notes`; `fixed`: the
+      parameters that were not fitted
+    - `settings`: the request and its sky, as text; `time` `[time]`, UTC, NaT where unknown
     """
 
     time: np.ndarray
@@ -90,7 +89,7 @@ class Fits:
 
 
 class Outcome(NamedTuple):
-    """What an estimate of one time says; arrays only. `ended` is an index into `RESULTS`."""
+    """The estimate of one time, as arrays only. `ended` is an index into `RESULTS`."""
 
     values: Float[Array, "... parameter"]
     noise: Float[Array, "... parameter parameter"]
@@ -111,16 +110,17 @@ class Outcome(NamedTuple):
 def fit_chunks(
     asked: Prepared, times: np.ndarray, chunk: int, batch_size: int, guess: bool, starts: int
 ) -> Iterator[dict[str, np.ndarray]]:
-    """The fits of some times of a asked, chunk after chunk as they end.
+    """Fit some times of `asked` in chunks, and yield each chunk when it ends.
 
-    **Arguments:** `times`, indices; `chunk`, how many are in one call, `batch_size`, how many of them in lock-step.
-    **Returns** (yields) arrays by their names in `Fits`, and `index`, the times that they are of. All chunks have one
-    shape, so that one compilation does; they are split over all devices. On one CPU as many run at once as it has
-    cores.
+    **Arguments:** `times`, indices; `chunk`, the number of times in one call; `batch_size`, how many of them run in
+    lock-step.
+    **Returns** (yields) arrays by their names in `Fits`, and `index`, the indices of their times. All chunks have one
+    shape, so that one compilation suffices. Each chunk is split over all devices. On one CPU as many chunks run at once
+    as it has cores.
     """
     devices = jax.local_devices()
     mesh = Mesh(np.array(devices), ("time",))
-    # a thread for each core, which the small matrices of one fit do not keep busy
+    # a thread for each core: the small matrices of one fit do not keep all cores busy
     workers = (os.cpu_count() or 1) if len(devices) == 1 and devices[0].platform == "cpu" else 1
     width = -(-chunk // len(devices)) * len(devices)
     wrong, priors = flaws(asked), asked.rows._replace(step=asked.rows.step[:0])
@@ -129,7 +129,7 @@ def fit_chunks(
     pool = ThreadPoolExecutor(workers)
     try:
         while True:
-            # one more than there are workers, so that none waits for its arrays
+            # one chunk more than there are workers, so that no worker waits for its arrays
             for index in islice(waiting, workers + 1 - len(running)):
                 ends, notes = _examined(asked, index, wrong)
                 every = np.pad(index, (0, width - len(index)), mode="edge")
@@ -140,7 +140,7 @@ def fit_chunks(
                     NamedSharding(mesh, PartitionSpec("time")),
                 )
                 question = mesh, batch_size, asked.start, asked.names, asked.options(), priors, *split
-                # compiled here: a thread of its own would not see this one's settings of JAX
+                # compile in this thread: a worker thread would not see its settings of JAX
                 running[pool.submit(_fetch, _outcomes.lower(*question).compile(), question)] = index, ends, notes
             if not running:
                 return
@@ -156,7 +156,7 @@ def _fetch(compiled: Callable, question: tuple) -> Any:
 
 
 def _examined(asked: Prepared, index: np.ndarray, flaws: list[str]) -> tuple[list[str], list[str]]:
-    """Why each time is not to be fitted, or "", and what is odd about it, a sentence a line."""
+    """Return why each time is not to be fitted, or "", and its oddities, one sentence a line."""
     ends = [flaws[t] for t in index]
     suns = (None if end else low_sun(asked.solver, asked.sky.sun_zenith[t]) for end, t in zip(ends, index, strict=True))
     notes = [said or "" for said in suns]
@@ -174,11 +174,11 @@ def _examined(asked: Prepared, index: np.ndarray, flaws: list[str]) -> tuple[lis
 
 @eqx.filter_jit
 def _outcomes(mesh, batch_size, model, names, options, priors, active, problem, own) -> Outcome:
-    """The outcomes of a chunk, NaN for times that are not active, which cost nothing."""
+    """The outcomes of a chunk, NaN for inactive times; these cost nothing where `batch_size` is 1."""
     numbers, choices = eqx.partition(options, eqx.is_array)
 
     def each_device(model, numbers, priors, active, problem, own):
-        # traced once, for its shapes and for itself
+        # `jit`, so that the shapes and the fit itself need only one trace
         given = eqx.combine(numbers, choices)
         fit = jax.jit(lambda one, own: _outcome(model, names, given, priors, one, own))
         shapes = jax.eval_shape(fit, *jax.tree.map(lambda v: v[0], (problem, own)))
@@ -200,7 +200,7 @@ def _outcomes(mesh, batch_size, model, names, options, priors, active, problem, 
 
 
 def _outcome(model, names, options, priors, one, own) -> Outcome:
-    """The outcome of one time, its time axis taken off."""
+    """The outcome of one time, without a time axis."""
     problem = jax.tree.map(lambda v: v[None], one)
     starts = Point(own[:, None], jnp.zeros((own.shape[0], 0), own.dtype))
     found = retrieve(problem, model, names, priors=priors, start=starts, **options)
@@ -219,7 +219,7 @@ def _outcome(model, names, options, priors, one, own) -> Outcome:
 
 
 def _outliers(weight, used):
-    """As `result.outliers`, of one time and traced."""
+    """The same as `result.outliers`, for one time and traced arrays."""
     held = jnp.any(used, axis=1)
     mean = jnp.sum(jnp.where(used, weight, 0.0), axis=1) / jnp.maximum(jnp.sum(used, axis=1), 1)
     out = held & (mean < 0.5)
@@ -229,18 +229,18 @@ def _outliers(weight, used):
 def ended(result, finite, poor) -> Int[Array, ""]:
     """How a search ended, as an index into `RESULTS`.
 
-    **Arguments:** optimistix' `result`; whether its outcome is `finite`, and the fit `poor`.
+    **Arguments:** `result` of optimistix; `finite`, whether its outcome is finite; `poor`, whether the fit is poor.
     """
     well, late = result == optx.RESULTS.successful, result == optx.RESULTS.nonlinear_max_steps_reached
     return jnp.where(finite & well, jnp.where(poor, 1, 0), jnp.where(finite & late, 2, 3))
 
 
 def _columns(asked: Prepared, index: np.ndarray, ends: list[str], notes: list[str], outcome: Outcome) -> dict:
-    """The rows of a chunk by their names in `Fits`, padding taken off."""
+    """The rows of a chunk by their names in `Fits`, without the padding."""
     count = len(index)
     result = np.array([end or RESULTS[code] for end, code in zip(ends, outcome.ended[:count], strict=True)])
     valued = np.isin(result, RESULTS[:_VALUED])
-    # the numbers of a fit that failed may be anything
+    # a failed fit can hold any numbers
     told = {
         key: np.where(valued.reshape(-1, *[1] * (value.ndim - 1)), value[:count], np.nan).astype(float)
         for key, value in outcome._asdict().items()
@@ -281,7 +281,7 @@ def fits_of_parts(
     fixed: dict[str, float],
     settings: dict[str, str],
 ) -> Fits:
-    """The rows of all chunks in the order of the times."""
+    """Join the rows of all chunks in the order of the times."""
     order = np.argsort(np.concatenate([part["index"] for part in chunks]))
     rows = {key: np.concatenate([part[key] for part in chunks])[order] for key in chunks[0] if key != "index"}
     notes = tuple(tuple(text.splitlines()) for text in rows.pop("notes").tolist())

@@ -1,8 +1,8 @@
-"""The kinds of error that a measurement has, how large each is, and residuals freed of what they share.
+"""Error components of a measurement: their kinds, the estimate of their sizes, and the whitening of residuals.
 
-A sample's error is its own, or common to all wavelengths of its direction: of their level, of their colour, or of where
-the instrument looked; level and colour may also err alike in a broad part of the sky. Errors in common have no say in
-what fits best, but in how sure it is: the cost is linear in the samples.
+Each sample has an error of its own. All wavelengths of a direction share errors of level, of colour and of pointing. A
+broad part of the sky can share errors of level and of colour. Shared errors do not weight the samples against each
+other, but they widen the covariance. The computing cost is linear in the number of samples.
 """
 
 from typing import NamedTuple
@@ -25,26 +25,26 @@ KINDS = ("level", "colour", "pointing", "broad_level", "broad_colour")
 _KIND_OF = np.array([0, 1, 1, 2, 2], np.uint8)
 COMMON = _KIND_OF.size
 _ALONE, _BROAD = len(KINDS) - 2, 2
-# where the search for the sizes begins, in the order of `KINDS`: large, for from below it is slow
+# first sizes of the search, in the order of `KINDS`: large, because convergence from below is slow
 _LARGE = (0.1, 0.1, 0.03, 0.05, 0.05)
-# of the bumps that make up a broad error, and their width in radians: as far as they are apart
+# number of bumps that make up a broad error, and their width in radians, which is about their distance
 _BUMPS, _WIDTH = 16, 0.6
-# passes of the estimate, and steps of expectation and maximisation in each
+# number of passes of the estimate, and of steps of expectation and maximisation in each
 _PASSES, _STEPS = 6, 20
-# standard deviations beyond which a row tells nothing of the sizes
+# least limit, in standard deviations, beyond which a row does not count in the sizes
 _FURTHEST = 3.0
-# share of a column's length that counts as none, in the elimination of parameters without influence
+# strength, relative to a column's length, of the rows that hold unknowns without influence in the elimination
 _GUARD = 1e-6
-# the least size of a broad error that is told from none
+# least size of a broad error that is distinguished from 0
 _LEAST_BROAD = 1e-6
 
 
 class Components(NamedTuple):
     """Standard deviations of the kinds of error of one time.
 
-    `sample`: of what each sample has of its own, over the stated one; `common`, in the order of `KINDS`: relative level
-    of a direction, its colour (a slope and a bend in the logarithm of wavelength, 1 at the ends), pointing in radians;
-    level and slope that are alike in a broad part of the sky.
+    `sample`: each sample's own error over the stated one. `common`, in the order of `KINDS`: relative level of a
+    direction; its colour (a slope and a bend in the logarithm of wavelength, 1 at the ends); pointing in radians; level
+    and slope that a broad part of the sky shares.
     """
 
     sample: Float[Array, ""]
@@ -52,11 +52,10 @@ class Components(NamedTuple):
 
 
 class Expected(NamedTuple):
-    """What is taken for the components before the residuals are seen.
+    """Assumed components, before the residuals are seen.
 
-    `common` in the order of `KINDS`, with the number of directions, or bumps of a broad error, that each counts for:
-    infinite where it is given;
-    `least` of the samples' own over what is stated.
+    `common`: sizes in the order of `KINDS`. `strength`: the number of directions, or bumps of a broad error, that each
+    size counts for; infinite where the size is given. `least`: least ratio of the samples' own error to the stated one.
     """
 
     common: Float[Array, " kind"]
@@ -65,11 +64,11 @@ class Expected(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """What errors of size 1 do to the samples of one time.
+    """Effects of errors of size 1 on the samples of one time.
 
-    `weight`, one over the stated sigma of what each has of its own, 0 where masked; `common` to a direction; `turned`,
-    the squared slope by the angle of the view, where each sample has a view, and so a pointing error, of its own;
-    `broad`, of level and of slope in turn, what each bump of a broad error does.
+    `weight`: one over the stated sigma of each sample's own error, 0 where masked. `common`: effects that a direction
+    shares. `turned`: squared slope by the angle of the view, where each sample has a view, and so a pointing error, of
+    its own. `broad`: effect of each bump of a broad error, of level and then of slope.
     """
 
     weight: Float[Array, "direction channel"]
@@ -79,10 +78,10 @@ class Errors(NamedTuple):
 
 
 class Whitening(NamedTuple):
-    """What makes the errors of each direction independent and of size 1.
+    """The transform that makes the errors of each direction independent and of size 1.
 
-    `weight`, one over the samples' own sigma, 0 where masked; `across`, `share`: factors 1 - share across across^T, one
-    a column of `Errors.common`; `frame`, orthonormal, spans what they touch.
+    `weight`: one over the samples' own sigma, 0 where masked. `across`, `share`: factors 1 - share across across^T, one
+    for each column of `Errors.common`. `frame`: orthonormal basis of the space on which these factors act.
     """
 
     weight: Float[Array, "direction channel"]
@@ -94,7 +93,7 @@ class Whitening(NamedTuple):
 def errors_of(
     one: Problem, radiance: Float[Array, "direction channel"], turn: Float[Array, "direction channel axis"]
 ) -> Errors:
-    """The errors of one time whose `radiance` the model knows, and its slopes by the instrument's two offsets."""
+    """The errors of one time, from the modelled `radiance` and its slopes `turn` by the two pointing offsets."""
     place = jnp.log(one.wavelength_nm)
     if one.response is not None:
         size = jnp.abs(one.response)
@@ -102,7 +101,7 @@ def errors_of(
     low, high = jnp.min(place), jnp.max(place)
     along = jnp.where(high > low, (2.0 * place - low - high) / jnp.where(high > low, high - low, 1.0), 0.0)
     shapes = jnp.stack([jnp.ones_like(along), along, 1.5 * along**2 - 0.5], axis=-1)
-    # an azimuth turns a view near the zenith by less
+    # near the zenith an offset in azimuth turns the view by less
     moves = one.view_zenith.ndim == 2
     sine = jnp.abs(jnp.sin(one.view_zenith if moves else one.view_zenith[:, None]))
     slopes = jnp.stack([turn[..., 0], turn[..., 1] / jnp.maximum(sine, 1e-3)], axis=-1)
@@ -114,9 +113,9 @@ def errors_of(
 
 
 def _bumps(zenith: Float[Array, " direction"], azimuth: Float[Array, " direction"]) -> Float[Array, "direction bump"]:
-    """Functions of the view whose sum with independent factors of size 1 has size 1 everywhere and is smooth."""
+    """Smooth functions of the view; their sum with independent factors of size 1 has size 1 everywhere."""
     place = np.arange(_BUMPS)
-    # a spiral: as many for each part of the hemisphere
+    # a spiral spreads the centres evenly over the hemisphere
     height, turn = 1.0 - (place + 0.5) / _BUMPS, np.pi * (3.0 - np.sqrt(5.0)) * place
     side = np.sqrt(1.0 - height**2)
     centre = as_float(np.stack([side * np.sin(turn), side * np.cos(turn), height]))
@@ -127,23 +126,23 @@ def _bumps(zenith: Float[Array, " direction"], azimuth: Float[Array, " direction
 
 
 def whitening(errors: Errors, found: Components) -> Whitening:
-    """The whitening that errors of these sizes ask for."""
+    """The whitening for errors of the sizes `found`."""
     weight = _own_weight(errors, found)
 
     def one(state, k):
         scaled, frame = state
-        # what the columns before it leave of it
+        # this column after the factors of the columns before it
         column = scaled[..., k]
         square = jnp.sum(column**2, axis=1)
         safe = jnp.where(square > 1e-6, square, 1.0)
         # (1 + a a^T)^(-1/2) = 1 - share a a^T; 1/2 for small ones
         share = jnp.where(square > 1e-6, (1.0 - 1.0 / jnp.sqrt(1.0 + safe)) / safe, 0.5)
         unit = column / jnp.sqrt(jnp.where(square > 0.0, square, 1.0))[:, None]
-        # once more for what rounding leaves
+        # orthogonalise twice, because of rounding
         for _ in range(2):
             unit = unit - jnp.einsum("edc,ed->dc", frame, jnp.einsum("edc,dc->ed", frame, unit))
         length = jnp.sqrt(jnp.sum(unit**2, axis=1, keepdims=True))
-        # what the columns before it span has no axis of its own
+        # a column that the columns before it span adds no axis
         axis = jnp.where(length > 1e-3, unit / jnp.where(length > 1e-3, length, 1.0), 0.0)
         return (_mirrored(scaled, column, share), frame.at[k].set(axis)), (column, share)
 
@@ -153,7 +152,7 @@ def whitening(errors: Errors, found: Components) -> Whitening:
 
 
 def _of_kind(effects, kind: int):
-    """What belongs to the columns of one kind."""
+    """The effects of the columns of one kind."""
     return jnp.stack([effects[i] for i, of in enumerate(_KIND_OF) if of == kind])
 
 
@@ -162,7 +161,7 @@ def _scaled(errors: Errors, found: Components):
 
 
 def _own_weight(errors: Errors, found: Components):
-    """One over the sigma of what each sample has of its own."""
+    """One over the sigma of each sample's own error."""
     weight = errors.weight / found.sample
     if errors.turned is None:
         return weight
@@ -174,7 +173,7 @@ def _pointing(found: Components) -> Float[Array, ""]:
 
 
 def whiten(white: Whitening, samples: Float[Array, "direction channel column"]) -> Float[Array, "direction row column"]:
-    """Samples as independent rows of size 1: what each direction has in common first, then the rest of each sample."""
+    """Whiten samples to independent rows of size 1: first the rows that a direction shares, then each sample's rest."""
     values = samples * white.weight[..., None]
     values = jax.lax.scan(lambda v, item: (_mirrored(v, *item), None), values, (white.across, white.share))[0]
     common = jnp.einsum("edc,dcx->dex", white.frame, values)
@@ -184,7 +183,7 @@ def whiten(white: Whitening, samples: Float[Array, "direction channel column"]) 
 def moved_by(
     errors: Errors, found: Components, rows: Float[Array, "direction channel column"]
 ) -> Float[Array, "effect column"]:
-    """How much independent errors of size 1 that samples have in common move each column of linear `rows`."""
+    """Shift of each column of linear `rows` by each independent shared error of one standard deviation."""
     common = jnp.einsum("dce,dcx->dex", _scaled(errors, found), rows)
     broad = jnp.einsum("dckb,k,dcx->kbx", errors.broad, found.common[_ALONE:], rows)
     common = jnp.concatenate([common.reshape(-1, rows.shape[2]), broad.reshape(-1, rows.shape[2])])
@@ -200,12 +199,12 @@ def _mirrored(values, vector, share):
 
 
 def joined(white: Whitening, rows: Float[Array, "direction row"]) -> Float[Array, "direction channel"]:
-    """Whitened samples, from the rows that `whiten` parts them into."""
+    """Join the rows of `whiten` to whitened samples."""
     return rows[:, COMMON:] + jnp.einsum("edc,de->dc", white.frame, rows[:, :COMMON])
 
 
 def share_of(errors: Errors, found: Components) -> Float[Array, " kind"]:
-    """The share of each kind, the samples' own first, in the squares of all errors over the stated sigma."""
+    """Share of each kind, the samples' own first, in the sum of squares of all errors over the stated sigma."""
     weight = errors.weight / found.sample
     of_all = jnp.sum((_scaled(errors, found) * weight[..., None]) ** 2, axis=(0, 1))
     squares = [jnp.sum(weight > 0.0), *(jnp.sum(_of_kind(of_all, k)) for k in range(_ALONE))]
@@ -227,29 +226,29 @@ def estimate(
     threshold: Float[Array, ""],
     moves: bool = True,
 ) -> Components:
-    r"""The sizes that the residuals of one time show, by restricted maximum likelihood.
+    r"""Estimate the sizes of the errors from the residuals of one time, by restricted maximum likelihood.
 
-    Errors in common are unknowns with a normal distribution, and the parameters such without one; the variances by
-    expectation and maximisation over the posterior of both, those of broad errors by their evidence. Rows beyond the
-    threshold of the loss, or three standard deviations, do not count, but most always do: bounded alone, as in Huber's
-    loss, those of one in threshold^2 directions would grow with what they make of the sizes.
+    Shared errors are unknowns with a normal distribution; the parameters are unknowns without one. Expectation and
+    maximisation over the posterior of both gives the variances; the evidence gives those of broad errors. Rows beyond
+    the threshold of the loss, or three standard deviations if larger, do not count, but most rows always count. If far
+    rows were only bounded, as in Huber's loss, those of one in threshold^2 directions would grow with the sizes that
+    they cause.
 
-    **Arguments:** `residual`, model minus measurement; `columns`, its slopes by all that is fitted, `prior`, rows
-    of what is known of the unknowns before; `moves`: whether these go where the residuals draw them, or others hold
-    them.
+    **Arguments:** `residual`, model minus measurement; `columns`, its slopes by all fitted unknowns; `prior`, rows of
+    the prior knowledge of these unknowns; `moves`: whether the residuals move these unknowns, or they are held.
     **Source:** Patterson & Thompson 1971, Biometrika 58, 545; Dempster, Laird & Rubin 1977, J. R. Stat. Soc. B 39, 1;
     MacKay 1992, Neural Comput. 4, 415 (evidence).
     """
     middle = typical_size((residual * errors.weight).reshape(-1), errors.weight.reshape(-1) > 0.0)
     middle = jnp.maximum(jnp.where(jnp.isfinite(middle), middle, 1.0), expected.least)
-    # in units in which no square overflows, however small the stated noise
+    # scale so that no square overflows, however small the stated noise is
     errors, expected = (
         errors._replace(weight=errors.weight / middle),
         expected._replace(least=expected.least / middle),
     )
     furthest = jnp.inf if loss == "squares" else jnp.maximum(threshold, _FURTHEST)
     large = jnp.where(jnp.isinf(expected.strength), expected.common, jnp.asarray(_LARGE, middle.dtype))
-    # as large as if none were too far
+    # factor that compensates for the rows that are left out as too far
     whole = 1.0 / jnp.sqrt(_calm(furthest))
     fitted = columns.shape[-1]
     broad = errors.broad.reshape(*residual.shape, -1).astype(columns.dtype)
@@ -266,7 +265,7 @@ def estimate(
         if moves:
             found = _with_broad(found, spread[fitted:], step[fitted:], expected)
         else:
-            # as far as the parameters stay where they are
+            # the parameters stay where they are: only broad errors move
             least, own = _profiled(rows[:, fitted:], tied[prior.shape[0] :, fitted:])
             found = _with_broad(found, least, own, expected)
             step = jnp.concatenate([jnp.zeros(fitted, step.dtype), own])
@@ -281,7 +280,7 @@ def estimate(
 
 
 def _with_broad(found: Components, spread, step, expected: Expected) -> Components:
-    """The sizes of broad errors by the evidence: as large as their bumps are, of which so many are determined."""
+    """Update the sizes of broad errors by the evidence: squares of their bumps over the number of determined bumps."""
     size = found.common[_ALONE:]
     square = step.reshape(_BROAD, _BUMPS) ** 2
     unsure = jnp.sum(spread.reshape(_BROAD, _BUMPS, -1) ** 2, axis=(1, 2))
@@ -294,8 +293,10 @@ def _with_broad(found: Components, spread, step, expected: Expected) -> Componen
 
 
 def _near(rows: Float[Array, "direction row"], furthest) -> Bool[Array, "direction row"]:
-    """Which whitened residuals are no further than that many standard deviations, or typical sizes if these are more:
-    those of what directions have in common, and the others."""
+    """Which whitened residuals are within `furthest` standard deviations, or typical sizes if these are larger.
+
+    The rows that directions share have one typical size, the others another.
+    """
     parts = rows[:, :COMMON], rows[:, COMMON:]
     typical = (typical_size(part.reshape(-1), part.reshape(-1) != 0.0) for part in parts)
     limits = [furthest * jnp.where(size > 1.0, size, 1.0) for size in typical]
@@ -303,17 +304,17 @@ def _near(rows: Float[Array, "direction row"], furthest) -> Bool[Array, "directi
 
 
 def _calm(furthest):
-    """The mean square of normal deviates that are no further than this."""
+    """The mean square of normal deviates whose size is at most `furthest`."""
     furthest = jnp.minimum(furthest, 30.0)
     density = jnp.exp(-0.5 * furthest**2) * jnp.sqrt(2.0 / jnp.pi)
     return 1.0 - furthest * density / erf(furthest / jnp.sqrt(2.0))
 
 
 def _profiled(rows, prior):
-    """A root of the covariance of what is fitted, and the step to its best values, from whitened rows with residual."""
+    """A root of the unknowns' covariance and the step to their best values, from whitened rows ending in residuals."""
     count = rows.shape[1] - 1
     guard = _GUARD * jnp.sqrt(jnp.sum(rows[:, :count] ** 2, axis=0))
-    # what has no influence stays
+    # unknowns without influence stay where they are
     tied = jnp.concatenate([jnp.diag(jnp.where(guard > 0.0, guard, 1.0)), prior])
     tied = jnp.pad(tied, ((0, 0), (0, 1)))
     whole = triangle(jnp.concatenate([rows, tied]))[:count]
@@ -323,14 +324,14 @@ def _profiled(rows, prior):
 
 
 def _refined(errors: Errors, found: Components, left, trusted, expected: Expected) -> Components:
-    """A step of expectation and maximisation; `left`, the residuals and their slopes by unit deviates of the fitted."""
+    """One step of expectation and maximisation; `left`: residuals and their slopes by unit deviates of the unknowns."""
     weight, scaled = _own_weight(errors, found), _scaled(errors, found)
     design = scaled * weight[..., None]
     unit = jnp.eye(COMMON, dtype=design.dtype)
     spread = inverse(unit[None] + jnp.einsum("dce,dcf->def", design, design))
     common = jnp.einsum("def,dcf,dcx->dex", spread, design * weight[..., None], left)
     rest = left - jnp.einsum("dce,dex->dcx", scaled, common)
-    # mean squares of the posterior: of the errors in common, in their standard deviations, and of the samples' own
+    # posterior mean squares of the shared errors, in their standard deviations, and of the samples' own errors
     square = jnp.sum(common**2, axis=2) + jnp.einsum("dee->de", spread)
     own = jnp.sum(rest**2, axis=2) + jnp.einsum("dce,def,dcf->dc", scaled, spread, scaled)
 
@@ -340,7 +341,7 @@ def _refined(errors: Errors, found: Components, left, trusted, expected: Expecte
     alone = found.common[:_ALONE]
     mean = jnp.stack([jnp.mean(_of_kind(by_effect, k)) for k in range(_ALONE)]) * alone**2
     if errors.turned is not None:
-        # two independent parts of each sample's own error
+        # each sample's own error has two independent parts, of which one is pointing
         size = 1.0 / jnp.where(weight > 0.0, weight, 1.0) ** 2
         share = errors.turned * (_pointing(found) * weight) ** 2
         both = share * (1.0 - share) * size

@@ -1,4 +1,4 @@
-"""What a sky tells of its parameters: derivatives, Fisher information, the best directions to measure."""
+"""The information of a sky on its parameters: derivatives, Fisher information, the best directions to measure."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -19,13 +19,13 @@ from .model import SkyModel
 from .parameters import check_free, Parameter, PARAMETERS, with_values
 
 
-# relative noise where none is stated, that of `invert`
+# default relative noise, the same as in `invert`
 _RELATIVE_NOISE = 0.02
-# of the information of all directions together: stands in, for the choice alone, where there is no prior
+# share of the information of all directions together that stands in for a missing prior, in the choice only
 _WEAK = 1e-6
-# of a parameter's range; more than the rounding of float32
+# distance from a bound, as a share of a parameter's range; more than the rounding of float32
 _HAIR = 1e-6
-# sigma of each parameter
+# prior sigma of each parameter
 Prior = Float[ArrayLike, " parameter"] | Sequence[float] | None
 
 
@@ -35,15 +35,15 @@ def sensitivity(
     quantity: str | Sequence[str],
     solver: AbstractSolver | None = None,
 ) -> Float[Array, "*parameter direction wavelength"]:
-    r"""How the radiance of each direction and wavelength grows with a parameter, $\partial L / \partial p$.
+    r"""The derivative of the radiance of each direction and wavelength by a parameter, $\partial L / \partial p$.
 
     **Arguments:** `scene`; `atmosphere`, or a `SkyModel` that also holds the instrument's pointing (default 0);
     `quantity`, a name of `skyfit.PARAMETERS` or several; `solver`, default `OrdersOfScattering.normal()`.
-    **Returns:** W m^-2 sr^-1 nm^-1 per the parameter's stated unit, `[direction, wavelength]`; of several names
+    **Returns:** W m^-2 sr^-1 nm^-1 per the parameter's stated unit, `[direction, wavelength]`; for several names
     `[parameter, direction, wavelength]`.
-    **Valid:** wherever the solver is; 0 below the horizon; of a parameter at its bound, an albedo of 1 for
-    instance, the slope towards the inside. A ground albedo that is given per wavelength moves as a whole.
-    **Errors:** `ValueError` for names that are unknown, twice there, contradict or are not in this atmosphere.
+    **Valid:** wherever the solver is; 0 below the horizon. For a parameter at its bound, an albedo of 1 for instance,
+    it is the slope towards the inside. A ground albedo that is given per wavelength moves as a whole.
+    **Errors:** `ValueError` for names that are unknown, repeated, contradictory or not in this atmosphere.
     **Source:** forward-mode differentiation of `solver.radiance`.
     """
     model = _model(atmosphere)
@@ -60,19 +60,19 @@ def fisher_information(
     floor: float | Float[ArrayLike, "..."] = 0.0,
     solver: AbstractSolver | None = None,
 ) -> Float[Array, "direction parameter parameter"]:
-    r"""What a measurement of each direction, with all its wavelengths, tells of the free parameters.
+    r"""The Fisher information on the free parameters from a measurement of each direction at all its wavelengths.
 
     $F_d = \sum_\lambda \frac{1}{\sigma^2} \frac{\partial L}{\partial p} \frac{\partial L}{\partial p}^T, \quad
     \sigma^2 = (r L)^2 + s^2$
 
-    The information of a set of directions is the sum of theirs.
+    The information of a set of directions is the sum over the directions.
 
     **Arguments:** `scene`, `atmosphere`, `solver` as in `sensitivity`; `free`, the parameters that are fitted;
-    `relative` noise r; `floor` s in W m^-2 sr^-1 nm^-1, one number or what broadcasts to `[direction, wavelength]`.
-    For a sigma of one's own `relative=0, floor=sigma`.
+    `relative` noise r; `floor` s in W m^-2 sr^-1 nm^-1, one number or an array that broadcasts to `[direction,
+    wavelength]`. To state sigma itself, use `relative=0, floor=sigma`.
     **Returns:** the inverse of squared units, `[direction, parameter, parameter]`.
-    **Valid:** noise independent in each sample; where there is neither light nor floor, no information. What the
-    noise itself tells of the parameters is left out, a share of 2 r^2.
+    **Valid:** noise independent in each sample. A sample with neither light nor floor has no information. The
+    information that the size of the noise holds on the parameters, a share of 2 r^2, is left out.
     **Errors:** `ValueError` for bad names, or noise that is negative or 0 altogether.
     **Source:** Fisher information of Gaussian noise; Rodgers 2000, Inverse Methods for Atmospheric Sounding, sec. 2.4.
     """
@@ -89,13 +89,13 @@ def fisher_information(
 def posterior_covariance(
     information: Float[ArrayLike, "parameter parameter"], prior: Prior = None
 ) -> Float[Array, "parameter parameter"]:
-    r"""The covariance that measurements of this information leave, $(F + \mathrm{diag}(1/s^2))^{-1}$.
+    r"""The covariance after measurements of this information, $(F + \mathrm{diag}(1/s^2))^{-1}$.
 
-    **Arguments:** `information` of a set, the sum over its directions of `fisher_information`; `prior`, the sigma s
-    with which each parameter is known before, inf where it is not; None: nothing is known.
+    **Arguments:** `information` of a set, the sum over its directions of `fisher_information`; `prior`, the prior sigma
+    s of each parameter, inf where there is none; None: no prior for any.
     **Returns:** squared units, `[parameter, parameter]`; differentiable by `information`.
-    **Valid:** always; a parameter that is part of a combination of which nothing is known has infinite variance and
-    no stated covariance (0), the others are as if such combinations were held.
+    **Valid:** always. A parameter that is part of an undetermined combination has infinite variance and no stated
+    covariance (0). The other parameters are as if such combinations were held.
     **Errors:** `ValueError` for a prior that is not positive or of another length.
     **Source:** Rodgers 2000, Inverse Methods for Atmospheric Sounding, eq. 2.27.
     """
@@ -103,10 +103,10 @@ def posterior_covariance(
 
 
 class NextDirections(NamedTuple):
-    """Directions in the order in which to measure them, and what is known after each.
+    """Directions in the order in which to measure them, and the sigmas after each.
 
-    `order`, indices of directions, `[choice]`; `sigma` of every free parameter after each, in its unit, inf where
-    the measurements so far leave it open, `[choice, parameter]`.
+    `order`: indices of directions, `[choice]`. `sigma`: that of every free parameter after each choice, in its unit,
+    inf where the measurements so far do not determine it, `[choice, parameter]`.
     """
 
     order: Int[np.ndarray, " choice"]
@@ -121,19 +121,19 @@ def next_directions(
     measured: Int[ArrayLike, " choice"] | Sequence[int] = (),
     prior: Prior = None,
 ) -> NextDirections:
-    r"""The directions to measure next: one by one, each the one that lessens the uncertainty most.
+    r"""Choose the directions to measure next, one by one, each the one that reduces the uncertainty most.
 
-    With `interest` the sum of the variances of those names, each over what all directions together would leave it
-    (A-optimal); without, the determinant of the whole covariance (D-optimal).
+    With `interest`, the uncertainty is the sum of the variances of the named parameters, each over its variance after
+    all directions together (A-optimal). Without, it is the determinant of the whole covariance (D-optimal).
 
     **Arguments:** `information`, of all directions that may be chosen (`fisher_information`); `free`, the names of
-    its axes; `count`, how many to choose; `measured`, indices of those that are measured already; `prior` as in
+    its axes; `count`, how many to choose; `measured`, indices of directions that are measured already; `prior` as in
     `posterior_covariance`.
     **Returns:** a `NextDirections`; no direction is chosen twice.
-    **Valid:** greedy, so each step is the best but the set need not be; what neither prior nor measurements know counts
-    as known to 1000 times the sigma that all directions would leave it alone, in the choice and not in `sigma`.
+    **Valid:** greedy: each step is the best, but the set need not be. For the choice, not in `sigma`, a parameter
+    without a prior gets one of 1000 times the sigma that all directions would give it if it alone were unknown.
     Runs on the host, in float64.
-    **Errors:** `ValueError` for names that are not free, indices that are not there, more than there are.
+    **Errors:** `ValueError` for names that are not free, indices out of range, a count above the directions left.
     **Source:** Fedorov 1972, Theory of Optimal Experiments, ch. 2 and 3.
     """
     free, whole = tuple(free), np.asarray(information, np.float64)
@@ -151,7 +151,7 @@ def next_directions(
         raise ValueError(f"`count` must be from 1 to the {left.sum()} directions that are left, got {count}")
     precision = _precision(prior, len(free))
 
-    # in units of what all directions together tell, which also conditions the inverses
+    # scale by the information of all directions together, which also conditions the inverses
     every = np.diagonal(whole.sum(axis=0)) + precision
     unit = 1.0 / np.sqrt(np.where(every > 0.0, every, 1.0))
     candidates = whole * unit[:, None] * unit
@@ -206,7 +206,7 @@ def _precision(prior, count: int):
 
 
 def _inside(parameter: Parameter, model: SkyModel):
-    """The value, a hair inside its bounds: at the edge of a clip half the slope would be lost."""
+    """The parameter's value, moved a hair inside its bounds: at the edge of a clip half the slope would be lost."""
     value = as_float(parameter.from_leaf(parameter.leaf(model)))
     hair = _HAIR * (parameter.upper - parameter.lower) * (not parameter.log)
     return value + hair * ((value == parameter.lower) * 1.0 - (value == parameter.upper) * 1.0)
@@ -228,7 +228,7 @@ def _linearised(solver: AbstractSolver, names: tuple[str, ...], model: SkyModel,
 def _information(solver, names, model, scene, relative, floor):
     jacobian, radiance = _linearised(solver, names, model, scene)
     variance = (relative * radiance) ** 2 + jnp.broadcast_to(floor, radiance.shape) ** 2
-    # where there is no light there is no derivative: any variance would do
+    # without light the derivative is 0: any variance would do
     variance = jnp.where(variance > jnp.finfo(variance.dtype).tiny, variance, 1.0)
     return jnp.einsum("dwp,dw,dwq->dpq", jacobian, 1.0 / variance, jacobian)
 
@@ -243,7 +243,7 @@ def _inverse(information, precision):
     rounding = jnp.finfo(matrix.dtype).eps
     known = values > values.size * rounding * values[-1]
     inverse = (vectors * jnp.where(known, 1.0 / jnp.where(known, values, 1.0), 0.0)[None]) @ vectors.T
-    # the same matrix, whose derivative is that of an inverse also where eigenvalues coincide
+    # the same matrix, but with the derivative of an inverse even where eigenvalues coincide
     inverse = 2.0 * inverse - inverse @ matrix @ inverse
     unknown = jnp.any(~known[None] & (jnp.abs(vectors) > jnp.sqrt(rounding)), axis=1)
     involved = unknown[:, None] | unknown[None]

@@ -1,4 +1,4 @@
-"""The arrays that a fit takes, and what an instrument would read of a model."""
+"""The arrays that a fit takes, and the instrument's simulated reading of a model."""
 
 from typing import NamedTuple
 
@@ -17,14 +17,15 @@ from .model import SkyModel
 
 
 class Problem(eqx.Module):
-    """Samples of some times in a given order of directions; what is masked has weight 0.
+    """Samples of some times in a given order of directions; masked samples have weight 0.
 
-    Angles in radians; the sun's of each time, or of each of its channels too, between which it moved. `irradiance` at
-    the top of the air in W m^-2 nm^-1, `weight` one over sigma. `response` None: samples are the radiance at the
-    wavelengths themselves. Views of each channel, where the instrument moves between them, go with a sun of each.
-    `beside`, what is measured besides the radiance, in one row, and one over its sigma; or None: the beam of each
-    channel if `has_beam`, as irradiance on a plane normal to the sun, or the haze's optical depth if `direct_is_depth`;
-    then the degree of polarisation of each direction and channel if `has_degree`.
+    Angles are in radians. The sun's angles are given for each time, or also for each channel if the sun moved between
+    channels. `irradiance`: at the top of the air, W m^-2 nm^-1. `weight`: one over sigma. `response` None: samples are
+    the radiance at the wavelengths themselves. If the instrument moves between channels, each channel has its own views
+    and its own sun. `beside`, `beside_weight`: measurements besides the radiance in one row, and one over their sigma,
+    or None. The row holds the beam of each channel if `has_beam`: irradiance on a plane normal to the sun, or the
+    haze's optical depth if `direct_is_depth`. Then it holds the degree of polarisation of each direction and channel if
+    `has_degree`.
     """
 
     sun_zenith: Float[Array, " time"] | Float[Array, "time channel"]
@@ -48,7 +49,7 @@ class Problem(eqx.Module):
         return jax.tree.map(lambda v: v[times], self)
 
     def mean_sun(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Zenith angle and azimuth of the sun of a problem of one time, the mean where the channels' differ."""
+        """Zenith angle and azimuth of the sun for a problem of one time, the mean over channels if these differ."""
         if not self.sun_zenith.ndim:
             return self.sun_zenith, self.sun_azimuth
         # azimuths may lie on both sides of north
@@ -56,14 +57,14 @@ class Problem(eqx.Module):
         return jnp.mean(self.sun_zenith), self.sun_azimuth[0] + jnp.mean(aside)
 
     def mean_view(self) -> tuple[Float[Array, " direction"], Float[Array, " direction"]]:
-        """Zenith angles and azimuths of the views of a problem of one time, the mean where the channels' differ."""
+        """Zenith angles and azimuths of the views for a problem of one time, the mean over channels if these differ."""
         if self.view_zenith.ndim == 1:
             return self.view_zenith, self.view_azimuth
         aside = jnp.remainder(self.view_azimuth - self.view_azimuth[:, :1] + np.pi, 2.0 * np.pi) - np.pi
         return jnp.mean(self.view_zenith, axis=1), self.view_azimuth[:, 0] + jnp.mean(aside, axis=1)
 
     def scene(self, model: SkyModel) -> Scene:
-        """The scene of a problem of one time (its time axis taken off), pointing offsets of the instrument included."""
+        """The scene of a problem of one time (without a time axis), with the instrument's pointing offsets."""
         zenith, azimuth = self.view_zenith, self.view_azimuth
         if self.field_of_view > 0.0:
             zenith, azimuth = _cone(zenith, azimuth, 0.5 * self.field_of_view)
@@ -74,7 +75,7 @@ class Problem(eqx.Module):
 
 
 class Reading(NamedTuple):
-    """What an instrument reads: radiance, the beam of each channel and the degree of polarisation, where measured."""
+    """An instrument's reading: radiance, the beam of each channel and the degree of polarisation, if measured."""
 
     radiance: Float[Array, "direction channel"]
     beam: Float[Array, " channel"] | None
@@ -88,16 +89,17 @@ class Reading(NamedTuple):
 
 
 def observe(solver: AbstractSolver, model: SkyModel, one: Problem) -> Reading:
-    """What the instrument would read of a model at one time.
+    """Simulate the instrument's reading of a model at one time.
 
-    Under a sun for each channel each is a scene of its own, of one wavelength, or of the whole spectrum with a
-    `response`: channels times as many angles from the sun, and with a response as many wavelengths, as under one sun.
+    If each channel has its own sun, each channel is a scene of its own, of one wavelength, or of the whole spectrum
+    with a `response`. The number of angles from the sun, and with a response that of wavelengths, is then multiplied by
+    the number of channels.
     """
     if one.sun_zenith.ndim:
         return _observe_each(solver, model, one)
     scene = one.scene(model)
     if one.has_degree:
-        # a solver that has none was refused (`prepared`)
+        # `prepared` has refused solvers without Stokes parameters
         light = tuple(solver.stokes(model.atmosphere, scene))  # pyright: ignore[reportAttributeAccessIssue]
     else:
         light = (solver.radiance(model.atmosphere, scene),)
@@ -118,13 +120,13 @@ def observe(solver: AbstractSolver, model: SkyModel, one: Problem) -> Reading:
 
 
 def haze_depth(constituents: tuple[AbstractConstituent, ...], wavelength_nm) -> Float[Array, " channel"]:
-    """The vertical optical depth of all that scatters but the air, as photometers have it."""
+    """The vertical optical depth of all scatterers except the air, as photometers define it."""
     haze = [c for c in constituents if c.phase is not None and not isinstance(c, Rayleigh)]
     return sum((c.optical_depth_at(wavelength_nm) for c in haze), jnp.zeros_like(wavelength_nm))
 
 
 def _observe_each(solver, model, one: Problem):
-    """As `observe`, of channels that each have a sun of their own."""
+    """The same as `observe`, for channels that each have a sun of their own."""
     if not model.atmosphere.smooth_in_wavelength:
         raise ValueError("a sun for each wavelength needs an atmosphere that has no values for each wavelength")
 
@@ -148,20 +150,20 @@ def _observe_each(solver, model, one: Problem):
     return jax.tree.map(lambda part: part.T, found)
 
 
-# rays of a cone: distance from its axis over its half angle, turn about it, weight. Exact for polynomials of degree
-# 5 over a disc (Abramowitz & Stegun 1964, 25.4.61, n = 7)
+# rays of a cone: distance from its axis over its half angle, angle about the axis, weight. Exact for polynomials of
+# degree 5 over a disc (Abramowitz & Stegun 1964, 25.4.61, n = 7)
 _CONE = ((0.0, 0.0, 0.25), *((np.sqrt(2.0 / 3.0), np.pi * k / 3.0, 0.125) for k in range(6)))
 
 
 def _cone(zenith, azimuth, half_angle: float):
-    """The rays of a cone about each direction, one ray of all directions after the other; none below the horizon."""
+    """The rays of a cone about each direction, in the order ray, direction; rays below the horizon move up to it."""
     zeniths, azimuths = [], []
     for distance, turn, _ in _CONE:
         tilt = half_angle * distance
         cosine = jnp.cos(zenith) * np.cos(tilt) + jnp.sin(zenith) * np.sin(tilt) * np.cos(turn)
         across = np.sin(tilt) * np.sin(turn)
         along = jnp.sin(zenith) * np.cos(tilt) - jnp.cos(zenith) * np.sin(tilt) * np.cos(turn)
-        # at the zenith every azimuth is as good
+        # at the zenith any azimuth is valid
         at_axis = (along**2 + across**2) < 1e-12
         zeniths.append(jnp.arctan2(jnp.sqrt(jnp.where(at_axis, 1e-12, along**2 + across**2)), jnp.maximum(cosine, 0.0)))
         azimuths.append(azimuth + jnp.where(at_axis, 0.0, jnp.arctan2(across, jnp.where(at_axis, 1.0, along))))
@@ -170,5 +172,5 @@ def _cone(zenith, azimuth, half_angle: float):
 
 @eqx.filter_jit
 def simulate(solver: AbstractSolver, model: SkyModel, scene: Scene):
-    """The radiance a model gives in a scene, the instrument's pointing included, `[direction, wavelength]`."""
+    """The radiance of a model in a scene, with the instrument's pointing offsets, `[direction, wavelength]`."""
     return solver.radiance(model.atmosphere, model.instrument.sees(scene))

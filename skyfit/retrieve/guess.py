@@ -1,4 +1,4 @@
-"""Where a fit starts: the haze that explains the sky best by single scattering."""
+"""The first guess of a fit: the haze that explains the sky best by single scattering."""
 
 import itertools
 from collections.abc import Iterator
@@ -17,21 +17,21 @@ from .model import SkyModel
 from .parameters import PARAMETERS, SIZE_BINS, values_of, with_values
 
 
-# hazes that are tried: optical depths from clean to thick, coarse and fine particles, phase functions by
-# the names of their parameters: of broad lobes, and of a narrow one over a broad one
+# trial hazes: optical depths from clean to thick; coarse and fine particles; phase functions by the names of
+# their parameters: the start's own, and a narrow lobe over a broad one
 _DEPTHS = (0.03, 0.08, 0.2, 0.5, 1.2)
 _KINDS = {"angstrom_exponent": (0.4, 1.4), "fine_fraction": (0.35, 0.85)}
 _LOBES = ({}, {"asymmetry": 0.85, "asymmetry_second": 0.45, "forward_fraction": 0.4},
           {"asymmetry": 0.93, "asymmetry_second": 0.55, "forward_fraction": 0.25})  # fmt: skip
-# what all orders of scattering make of the light of the first one, at each wavelength
+# least and largest ratio of the radiance of all orders of scattering to that of the first, at each wavelength
 _BRIGHTENING = (1.0, 1.8)
 
 
 def first_guess(geometry: Geometry, model: SkyModel, free: tuple[str, ...], problem: Problem) -> np.ndarray:
-    """Values of the free parameters at each time, `[time, parameter]`: the start's, with the best of some hazes.
+    """Values of the free parameters at each time, `[time, parameter]`: the start's, with the best trial haze.
 
-    The level of each wavelength may be brighter than single scattering by what higher orders add; the aureole and the
-    gradient toward the horizon tell the haze.
+    The level of each wavelength may exceed single scattering by the light of higher orders. The aureole and the
+    gradient toward the horizon determine the haze.
     """
     first = values_of(model, free)
     values = np.tile(list(first.values()), (problem.sun_zenith.shape[0], 1))
@@ -42,7 +42,7 @@ def first_guess(geometry: Geometry, model: SkyModel, free: tuple[str, ...], prob
         return values
     else:
         rows = _rows(first, depth, free)
-    # the level of each channel is free, and nothing else tells of hazes
+    # the radiance alone is used, with a free level of each channel
     problem = replace(problem, beside=None, beside_weight=None, has_beam=False, has_degree=False)
     costs = np.asarray(_costs(SingleScattering.draft(geometry), model, free, as_float(rows), problem), float)
     best = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
@@ -51,7 +51,7 @@ def first_guess(geometry: Geometry, model: SkyModel, free: tuple[str, ...], prob
 
 
 def _rows(first: dict[str, float], depth: str, free: tuple[str, ...]) -> np.ndarray:
-    """What is tried, `[haze, parameter]`, of hazes whose optical depth is a parameter."""
+    """Trial values, `[haze, parameter]`, of hazes whose optical depth is a parameter."""
     kinds = [{n: v} for n, values in _KINDS.items() if n in free for v in values] or [{}]
     lobes = _LOBES if set(_LOBES[-1]) <= set(free) else ({},)
     depths = [{depth: float(PARAMETERS[depth].from_leaf(v))} for v in _DEPTHS]
@@ -59,14 +59,14 @@ def _rows(first: dict[str, float], depth: str, free: tuple[str, ...]) -> np.ndar
 
 
 def _in_bins(model: SkyModel) -> Iterator[dict[str, float]]:
-    """The size bins of the hazes that are tried."""
+    """The size bins of the trial hazes."""
     for depth, share in itertools.product(_DEPTHS, _KINDS["fine_fraction"]):
         haze = BinnedAerosol.like(TwoModeAerosol(depth, share))  # pyright: ignore[reportCallIssue]
         yield values_of(SkyModel(model.atmosphere.replace(aerosol=haze)), SIZE_BINS)
 
 
 def _left_over(solver, model, free, rows, problem: Problem):
-    """What each row of values leaves over at each time, the level of each channel being free within bounds."""
+    """The residual sum of squares of each row of values at each time; the level of each channel is free in bounds."""
 
     def cost(row, one):
         light = observe(solver, with_values(model, free, row), one).radiance

@@ -1,7 +1,7 @@
-r"""How the end of a search moves with all that went into it, by the implicit function theorem.
+r"""Derivatives of the end of a search by all its inputs, from the implicit function theorem.
 
 At the least cost $\partial C / \partial x = 0$, so that $dx = -H^{-1}\, (\partial^2 C / \partial x\, \partial y)\, dy$
-with the full Hessian H: the curvature of the residuals counts, which Gauss-Newton leaves out.
+with the full Hessian H. It includes the curvature of the residuals, which Gauss-Newton leaves out.
 **Source:** Nocedal & Wright 2006, Numerical Optimization, ch. 10 and 12; Blondel et al. 2022, NeurIPS 35, 5230.
 """
 
@@ -31,7 +31,7 @@ class Given(NamedTuple):
 
 
 def settled(choices: Choices, solver: AbstractSolver, point: Point, given: Given) -> Point:
-    """The end of a search, with its derivative by all that was given; unknowns at the edge of their box stay there."""
+    """The end of a search, with its derivatives by all of `given`; unknowns at the edge of their box stay there."""
 
     flat, back = ravel_pytree(point)
     slope = jax.grad(lambda flat, given: _misfit(choices, solver, back(flat), given))
@@ -53,7 +53,7 @@ def settled(choices: Choices, solver: AbstractSolver, point: Point, given: Given
 
 
 def _misfit(choices: Choices, solver: AbstractSolver, point: Point, given: Given) -> Float[Array, ""]:
-    """The cost that the search has made least, as a function that can be differentiated twice."""
+    """The cost that the search has minimised, as a function that can be differentiated twice."""
     names, count = choices.names, len(choices.shared)
     calibration = calibration_of(choices, point, given.problem.measured.shape[2])
 

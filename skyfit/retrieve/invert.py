@@ -1,4 +1,4 @@
-"""From a measured sky to the parameters of its atmosphere."""
+"""Fit the parameters of the atmosphere to a measured sky."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -19,7 +19,7 @@ from .retrieve import retrieve, shape_of
 from .uncertainty import Estimate
 
 
-# of directions that a jackknife leaves out by turns
+# largest number of groups of directions that a jackknife leaves out in turn
 _MOST_GROUPS = 100
 
 
@@ -42,7 +42,7 @@ def invert(
     starts: int = 1,
     jackknife: int = 0,
 ) -> Fit:
-    """The parameters of the atmosphere over a measured sky, with uncertainties.
+    """Fit the parameters of the atmosphere to a measured sky, with uncertainties.
 
     **Arguments**
 
@@ -50,27 +50,27 @@ def invert(
       modes for spectra); `solver`, default `OrdersOfScattering.normal()`, spherical, polarised for spectral radiance,
       scalar for the channels of a `response`. The precision is that of the process, float32 unless `jax_enable_x64` is
       set; `skyfit invert` has the same defaults and computes in float64
-    - `start`: the values that are not fitted, and those of the free ones where the search begins; with `guess` the
-      haze's begin where single scattering explains the sky best; `starts` - 1 random ones besides
+    - `start`: the values of the parameters that are not fitted, and the first values of the free ones. With `guess` the
+      haze starts where single scattering explains the sky best. `starts` - 1 random starts are added
     - `fwhm_nm`: line shape (default: the file's, or estimated from the solar lines); `response`:
       channels of a camera or photometer, if the sky has none (`Sky.with_response`)
-    - `shared`: free names that all times have in common (`SLOW` names those that do not change within a day); none:
-      each time is fitted by itself
+    - `shared`: free names that all times have in common (`SLOW` names those that do not change within a day). If there
+      are none, each time is fitted by itself, unless `smooth` links the times
     - `measurement`: noise, calibration, field of view, outliers (`NoiseModel`)
-    - `priors`: name -> (value, sigma) in the parameter's unit; of a positive parameter sigma / value is that of its
-      logarithm; None: none, where a parameter has a `climatology`. `smooth`: name -> sigma of its change within an
-      hour, on the same scale, for names that are not shared
+    - `priors`: name -> (value, sigma) in the parameter's unit; for a parameter fitted as its logarithm, sigma / value
+      is the sigma of the logarithm; None leaves out the `climatology` of a parameter. `smooth`: name -> sigma
+      of its change within an hour, on the same scale, for names that are not shared
     - `draft`: solver of the slopes (default: `solver` itself, which compiles once; a coarser one runs faster)
-    - `jackknife`: in so many groups the directions, in the order of the sky, are left out by turns, from which follows
+    - `jackknife`: number of groups of directions, in the order of the sky, that are left out in turn to find
       `Fit.jackknife_sigma`; 0: none
-    - `max_steps` of each Levenberg-Marquardt search; `progress(done, of)` is called after each time that is fitted by
-      itself
+    - `max_steps` of each Levenberg-Marquardt search; `progress(done, of)` is called after each fit, of one time or of
+      all times together
 
-    **Returns:** a `Fit`. Sigma is that of noise (widened where the residuals exceed it), priors included, and of the
-    model's stated error.
-    **Valid:** times with the sun above the horizon and more samples than parameters; the others are left out of the
-    `Fit`, whose notes name them, and an error if they are all. Samples in bands of oxygen and
-    water vapour are left out and counted.
+    **Returns:** a `Fit`. Sigma includes noise (widened where the residuals exceed it), priors and the model's stated
+    error.
+    **Valid:** times with the sun above the horizon and at least as many samples as parameters. Other times are left out
+    of the `Fit`, and its notes name them; if no time is left, that is an error. Samples in bands of oxygen and water
+    vapour are left out and counted.
     **Errors:** `ValueError` for unknown or contradicting names, or a sky with too few usable samples.
     """
     settings = fwhm_nm, max_steps, shared, measurement, response, priors, smooth, draft
@@ -94,9 +94,9 @@ def invert(
 
 
 def solve(asked: Prepared, times: np.ndarray, starts: Point, kept: np.ndarray | None = None) -> Estimate:
-    """The estimate of some times together; another sky of the same shape, or other numbers, compile nothing.
+    """Estimate some times together; another sky of the same shape, or other numbers, need no new compilation.
 
-    **Arguments:** `kept` `[time, direction]`: directions of the problem of these times that count, default all.
+    **Arguments:** `kept` `[time, direction]`: the directions of these times' problem that count, default all.
     """
     rows = asked.rows if len(times) == len(asked.sky.time) else asked.rows._replace(step=asked.rows.step[:0])
     problem = asked.problem.at(times)
@@ -106,10 +106,10 @@ def solve(asked: Prepared, times: np.ndarray, starts: Point, kept: np.ndarray | 
 
 
 def _jackknifed(asked: Prepared, times: np.ndarray, found: Estimate, groups: int) -> np.ndarray:
-    r"""The spread of the parameters, `[time, parameter]`, as they change where each group of directions is left out.
+    r"""The jackknife sigma of the parameters, `[time, parameter]`, from fits that each leave out a group of directions.
 
-    $\sigma^2 = \frac{G - 1}{G} \sum_g (x_g - \bar x)^2$, from the end of the whole fit. Groups are neighbours in the
-    sky's order, so that what errs together is left out together.
+    $\sigma^2 = \frac{G - 1}{G} \sum_g (x_g - \bar x)^2$. Each fit starts from the end of the whole fit. Groups are
+    neighbours in the sky's order, so that directions with a common error are left out together.
     **Source:** Efron 1982, The Jackknife, the Bootstrap and Other Resampling Plans, ch. 3.
     """
     held = (np.asarray(asked.problem.weight[times]) > 0.0).any(axis=2)

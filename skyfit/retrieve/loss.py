@@ -1,4 +1,4 @@
-"""Losses that grow less than the square of a residual: what lies far off counts less."""
+"""Losses that grow less than the square of a residual, so that outliers count less."""
 
 from typing import NamedTuple
 
@@ -8,12 +8,12 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from ..measured.noise import Loss
 
 
-# normal deviates: the median size is 1 / 1.4826 standard deviations
+# standard deviation of normal deviates over their median size
 _MEDIAN_SIZE = 1.4826
 
 
 class Robust(NamedTuple):
-    """A whitened residual after the loss: `value`, whose square is the loss, its slope, and the sample's weight."""
+    """A whitened residual after the loss: `value`, whose square is the loss, its `slope`, and the sample's `weight`."""
 
     value: Array
     slope: Array
@@ -21,7 +21,7 @@ class Robust(NamedTuple):
 
 
 def robust(residual: Array, loss: Loss, threshold: Float[ArrayLike, ""]) -> Robust:
-    r"""Residuals that grow less than linearly beyond a threshold $k$.
+    r"""Transform residuals so that they grow less than linearly beyond a threshold $k$.
 
     Huber: $f^2 = 2 k |z| - k^2$ beyond k; Cauchy: $f^2 = k^2 \ln(1 + z^2 / k^2)$. With $w = f f' / z$ the weight of
     iteratively reweighted least squares, the gradient of $\frac12 f^2$ is that of the reweighted residuals.
@@ -48,5 +48,5 @@ def robust(residual: Array, loss: Loss, threshold: Float[ArrayLike, ""]) -> Robu
 
 
 def typical_size(residual: Float[Array, "*time sample"], held: Bool[Array, "*time sample"]) -> Float[Array, "*time"]:
-    """The standard deviation of normal residuals of which a few are anything, NaN where none is held."""
+    """The standard deviation of normal residuals with a few outliers, from their median size; NaN if none is held."""
     return _MEDIAN_SIZE * jnp.nanmedian(jnp.where(held, jnp.abs(residual), jnp.nan), axis=-1)

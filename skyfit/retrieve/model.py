@@ -11,9 +11,10 @@ from ..scene import Scene
 
 
 class Instrument(eqx.Module):
-    """How its frame is turned: its views are stated so many radians too far from the zenith and clockwise.
+    """The rotation of the instrument's frame and the offset of its sun, radians.
 
-    `sun_zenith`: by how much the sun stands farther from the zenith than stated, radians.
+    `pointing_zenith`, `pointing_azimuth`: how much too far from the zenith and too far clockwise the views are stated.
+    `sun_zenith`: how much farther from the zenith the sun is than stated.
     """
 
     pointing_zenith: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
@@ -21,7 +22,7 @@ class Instrument(eqx.Module):
     sun_zenith: Float[Array, ""] = eqx.field(converter=as_float, default=0.0)
 
     def sees(self, scene: Scene) -> Scene:
-        """The scene with the views and the sun where they really were; none leaves the sky."""
+        """The scene with the true views and the true sun; those stated in the sky stay above the horizon."""
         zenith, azimuth = scene.view.zenith - self.pointing_zenith, scene.view.azimuth - self.pointing_azimuth
         beyond = zenith < 0.0
         azimuth = jnp.where(beyond, azimuth + np.pi, azimuth)

@@ -1,4 +1,4 @@
-"""Smooth errors that the model itself makes, which sigma allows for."""
+"""Smooth errors of the model itself, which sigma includes."""
 
 import jax
 import jax.numpy as jnp
@@ -9,10 +9,11 @@ from .forward import Problem
 
 
 def error_shapes(airmass: Array, cosine: Array, wavelength_nm: Array) -> Float[Array, "shape direction wavelength"]:
-    """Smooth relative errors that a radiative transfer model makes, each of size 1 or less.
+    """Smooth relative errors of a radiative transfer model, each of size 1 or less.
 
-    Constant, a slope in the logarithm of wavelength, more toward the horizon, and four Legendre polynomials of the
-    angle from the sun. **Arguments:** `airmass` and `cosine` of the angle from the sun, `[direction]`.
+    The shapes are a constant, a growth toward the horizon, four Legendre polynomials of the angle from the sun, and a
+    slope in the logarithm of wavelength. **Arguments:** `airmass` and `cosine` of the angle from the sun,
+    `[direction]`.
     """
     colour = jnp.log(wavelength_nm) - jnp.mean(jnp.log(wavelength_nm))
     colour = colour / jnp.maximum(jnp.max(jnp.abs(colour)), 0.1)
@@ -28,7 +29,7 @@ def error_shapes(airmass: Array, cosine: Array, wavelength_nm: Array) -> Float[A
 def model_errors(
     problem: Problem, radiance: Float[Array, "time direction channel"]
 ) -> Float[Array, "time sample shape"]:
-    """Smooth errors of the model's radiance, in its unit; what is measured besides has none."""
+    """Smooth errors of the model's radiance, in its unit; 0 for measurements besides the radiance."""
 
     def at(item):
         one, radiance = item

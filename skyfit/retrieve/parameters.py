@@ -1,4 +1,4 @@
-"""The parameters of a sky by name: which leaf each one is, in what unit, within which bounds."""
+"""The parameters of a sky by name: the leaf, unit and bounds of each."""
 
 import functools
 from collections.abc import Callable
@@ -41,18 +41,19 @@ def _degrees(radians):
 
 
 class Parameter(NamedTuple):
-    """One named scalar: its leaf in a `SkyModel`, unit, bounds, the scale on which it is fitted, and what holds of it.
+    """One named scalar: its leaf in a `SkyModel`, unit, bounds, the scale on which it is fitted, and its properties.
 
-    - `place` of the leaf, "atmosphere.aerosol.optical_depth" for instance: a constituent by its name
+    - `place`: path of the leaf, for instance "atmosphere.aerosol.optical_depth", with the constituent's name
     - `log`: fitted as its logarithm, for positive quantities
-    - `to_leaf`, `from_leaf`: from the stated unit to the leaf's and back
-    - `slow`: the same over a day, as the kind of particle and the air are; the amount of haze, the pointing and, under
-      a moving sun, what the ground reflects are not
-    - `group`: "two lobes", "particles" or "size bins" of what only a haze of that kind has
-    - `usual`: which sets of parameters that a sky scan determines have it, "lobes" (`LOBES_FREE`), "particles"
-      (`PARTICLE_FREE`) or "bins" (`BINS_FREE`)
-    - `climatology`: value and sigma of a prior where the user gives none, for what a scan alone leaves nearly open
-    - `index`: the number's place where the leaf is an array of them
+    - `to_leaf`, `from_leaf`: conversion from the stated unit to the leaf's and back
+    - `slow`: constant over a day, like the kind of particle and the air; the amount of haze, the pointing and, under a
+      moving sun, the reflection by the ground are not
+    - `group`: "two lobes", "particles" or "size bins", for parameters that only a haze of that kind has
+    - `usual`: the sets of parameters that a sky scan determines and that include this one: "lobes" (`LOBES_FREE`),
+      "particles" (`PARTICLE_FREE`) or "bins" (`BINS_FREE`)
+    - `climatology`: value and sigma of the prior if the user gives none, for parameters that a scan alone hardly
+      determines
+    - `index`: position of the number if the leaf is an array
     """
 
     name: str
@@ -71,7 +72,7 @@ class Parameter(NamedTuple):
 
     @property
     def of_instrument(self) -> bool:
-        """Whether it is one of the instrument, not of the atmosphere."""
+        """Whether the parameter belongs to the instrument, not to the atmosphere."""
         return self.place.startswith("instrument.")
 
     def leaf(self, model: SkyModel) -> Any:
@@ -84,12 +85,12 @@ class Parameter(NamedTuple):
         return self.from_scale(self.on_scale(free))
 
     def on_scale(self, free):
-        """As `bound`, on the scale of the parameter: the logarithm of a positive quantity, else the value itself."""
+        """The same as `bound`, on the parameter's scale: the logarithm if `log` is set, else the value itself."""
         low, high = self.ends()
         return low + (high - low) * jax.nn.sigmoid(free)
 
     def from_scale(self, scaled):
-        """The value that stands at a place of the parameter's scale."""
+        """The value at a position on the parameter's scale."""
         return jnp.exp(scaled) if self.log else scaled
 
     def to_scale(self, value: float) -> float:
@@ -104,7 +105,7 @@ class Parameter(NamedTuple):
         return float(np.log(share / (1.0 - share)))
 
     def free_of(self, model: SkyModel) -> Float[Array, ""]:
-        """The unconstrained number of a model's value, which may be traced; `unbound` for traced values."""
+        """The unconstrained number of a model's value: the same as `unbound`, for values that may be traced."""
         low, high = self.ends()
         value = self.from_leaf(self.leaf(model))
         share = jnp.clip(((jnp.log(value) if self.log else value) - low) / (high - low), 0.01, 0.99)
@@ -171,7 +172,8 @@ _LIST = (
         "coarse_radius", "um", 0.8, 6.0, f"{_HAZE}.coarse_radius", log=True, slow=True, group="particles",
         usual=_PARTICLES,
     ),
-    # sizes and indices: the spread of AERONET's climatologies (Dubovik et al. 2002, J. Atmos. Sci. 59, 590, table 1)
+    # priors of sizes and indices: spread of AERONET's climatologies (Dubovik et al. 2002, J. Atmos. Sci. 59, 590,
+    # table 1)
     Parameter(
         "fine_width", "1", 0.3, 0.8, f"{_HAZE}.fine_width", slow=True, group="particles", usual=_PARTICLES,
         climatology=(0.42, 0.08),
@@ -188,7 +190,7 @@ _LIST = (
         "absorption_index", "1", 1e-4, 0.1, f"{_HAZE}.absorption_index", log=True, slow=True, group="particles",
         usual=_SPHERES, climatology=(0.006, 0.008),
     ),
-    # n changes by 0.01 from 440 to 1020 nm, k by its exponent from 0 of soot to 2 of dust (ibid.)
+    # n changes by 0.01 from 440 to 1020 nm; the exponent of k is 0 for soot and up to 2 for dust (ibid.)
     Parameter(
         "refractive_index_slope", "1", -0.15, 0.15, f"{_HAZE}.refractive_index_slope", slow=True, group="size bins",
         usual=_BINS, climatology=(0.0, 0.02),
@@ -201,7 +203,7 @@ _LIST = (
         "absorption_index_curvature", "1", -6.0, 6.0, f"{_HAZE}.absorption_index_curvature", slow=True,
         group="size bins", usual=_BINS, climatology=(0.0, 1.0),
     ),
-    # hardly any at either end (Dubovik & King 2000, J. Geophys. Res. 105, 20673, sec. 3.2)
+    # hardly any particles in the first and the last bin (Dubovik & King 2000, J. Geophys. Res. 105, 20673, sec. 3.2)
     *(
         Parameter(
             f"size_bin_{i + 1}", "um3/um2", 1e-6, 10.0, f"{_HAZE}.bins", log=True, slow=True, group="size bins",
@@ -231,15 +233,15 @@ _LIST = (
 )  # fmt: skip
 PARAMETERS: dict[str, Parameter] = {p.name: p for p in _LIST}
 """All that can be fitted, by name: unit, bounds (`lower`, `upper`), and the place of each in the model."""
-# what a sky scan determines, and the pointing that it needs: with haze of two lobes, of spheres in two modes, in bins
+# parameters that a sky scan determines, and the pointing: for haze of two lobes, of spheres in two modes, and in bins
 LOBES_FREE = tuple(p.name for p in _LIST if "lobes" in p.usual)
 PARTICLE_FREE = tuple(p.name for p in _LIST if "particles" in p.usual)
 BINS_FREE = tuple(p.name for p in _LIST if "bins" in p.usual)
 SIZE_BINS = tuple(p.name for p in _LIST if p.index is not None)
 SLOW = tuple(p.name for p in _LIST if p.slow)
-# what the pattern of a picture tells whose level, white and ground are unknown, and where its sun is but guessed
+# parameters that a picture's pattern determines if its level, white and ground are unknown; those of a guessed sun
 PICTURE_FREE, SUN_FREE = ("turbidity", "asymmetry"), ("sun_zenith_offset", "pointing_azimuth")
-# where the instrument looked
+# parameters of the instrument's pointing
 POINTING = ("pointing_zenith", "pointing_azimuth")
 
 
@@ -250,8 +252,8 @@ _DEPTH = 0.15
 def start_model(free: tuple[str, ...], pressure: float, ozone: float = 300.0) -> SkyModel:
     """The model a fit starts from: the defaults of `Atmosphere.from_optical_depth`, optical depth 0.15.
 
-    The phase function has two lobes if a second one is to be fitted; the haze is one of spheres in bins or in two modes
-    of size, whose optics follow, if anything of these is.
+    The phase function has two lobes if `free` names a parameter of the second lobe. The haze consists of spheres in
+    size bins or in two size modes, which determine its optics, if `free` names a parameter of these.
 
     **Arguments:** names that are free; `pressure` of the station, Pa; `ozone` over it, DU. **Returns:** a `SkyModel`.
     """
@@ -268,9 +270,9 @@ def start_model(free: tuple[str, ...], pressure: float, ozone: float = 300.0) ->
 
 
 def check_free(free: tuple[str, ...], model: SkyModel, argument: str = "free", per_wavelength: bool = False) -> None:
-    """A `ValueError` about `argument` unless every name is a parameter that this model has, once, not contradicting.
+    """Raise a `ValueError` about `argument` unless the names are distinct, consistent parameters of this model.
 
-    What is given per wavelength is one where `per_wavelength` says so: it moves as a whole.
+    A value given per wavelength counts as a parameter if `per_wavelength` is true: it moves as a whole.
     """
     if not free:
         raise ValueError(f"`{argument}` must name at least one parameter")
@@ -302,13 +304,13 @@ def values_of(model: SkyModel, names) -> dict[str, float]:
 
 
 def fixed_values(model: SkyModel, free: tuple[str, ...]) -> dict[str, float]:
-    """The values that are not fitted, by name; turbidity and optical depth, one quantity, once."""
+    """The values that are not fitted, by name; turbidity and optical depth are one quantity and appear once."""
     hidden = "aerosol_optical_depth" if "turbidity" in free else "turbidity"
     return {n: v for n, v in values_of(model, PARAMETERS).items() if n not in free and n != hidden}
 
 
 def partition(model: SkyModel, names: tuple[str, ...]):
-    """The model's free leaves and the rest, as `eqx.partition` gives them; arrays of several stay in the rest."""
+    """Split the model into free leaves and the rest, as `eqx.partition` does; leaves with `index` stay in the rest."""
     nothing = jax.tree_util.tree_map(lambda _: False, model)
     alone = [n for n in names if PARAMETERS[n].index is None]
     chosen = eqx.tree_at(lambda m: [PARAMETERS[n].leaf(m) for n in alone], nothing, [True] * len(alone))

@@ -1,4 +1,4 @@
-"""What the instrument would read of fitted skies elsewhere: at other directions or wavelengths."""
+"""Predict what the instrument would read of fitted skies at other directions or wavelengths."""
 
 import numpy as np
 
@@ -8,14 +8,14 @@ from .sampling import Sampling, scale_at
 
 
 def predict(fit: Fit | Fitted, sky: Sky, response: Response | None = None) -> np.ndarray:
-    """The fitted skies at the times, directions and wavelengths of another sky, as the instrument would read them.
+    """Predict the fitted skies at the times, directions and wavelengths of another sky, as the instrument reads them.
 
-    **Arguments:** `fit` (of `skyfit.invert`, or what `skyfit.load` gives); `sky`, whose radiance is not used, its
-    wavelengths seen through the fit's line shape, or the channels of its `response`, which can be given besides
-    (`Sky.with_response`).
-    **Returns:** radiance `[time, direction, wavelength]`, W m^-2 sr^-1 nm^-1, NaN beyond 300-1100 nm, or what the
-    channels read; the fitted pointing offsets and, interpolated, the fitted calibration are in it, if `sky` is seen by
-    the same channels, or both by wavelength.
+    **Arguments:** `fit` (of `skyfit.invert` or `skyfit.load`); `sky`, whose radiance is not used. Its wavelengths are
+    seen through the fit's line shape, or through the channels of its `response`, which can also be the argument
+    `response` (`Sky.with_response`).
+    **Returns:** radiance `[time, direction, wavelength]`, W m^-2 sr^-1 nm^-1, NaN beyond 300-1100 nm, or the reading of
+    the channels. It includes the fitted pointing offsets. It includes the fitted calibration, interpolated, if both
+    skies are seen by the same channels or both by wavelength.
     **Errors:** `ValueError` for a time of `sky` that was not fitted; one sky without a time matches one fit.
     """
     fitted, sky = fit.fitted if isinstance(fit, Fit) else fit, sky.with_response(response)
@@ -24,7 +24,7 @@ def predict(fit: Fit | Fitted, sky: Sky, response: Response | None = None) -> np
     read = np.stack([sampling.readings(fitted.solver, fitted.models[i], t) for t, i in enumerate(order)])
     both = sky.response, fitted.response
     if both != (None, None) and not (both[0] is not None and both[0].same_as(both[1])):
-        # of another instrument nothing is known
+        # the calibration of another instrument is unknown
         return read
     scale = np.stack([scale_at(sky.wavelength_nm, fitted.fitted_nm, fitted.calibration[i]) for i in order])
     return read * scale[:, None]

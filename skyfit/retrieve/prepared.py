@@ -1,4 +1,4 @@
-"""What a retrieval is asked for, checked, and the arrays that it works on."""
+"""The checked request for a retrieval, and the arrays that it works on."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -32,26 +32,26 @@ from .residuals import Priors
 from .sampling import Sampling
 
 
-# spread of the logistic numbers of random starts: most of each range, not its ends
+# spread of the unconstrained numbers of random starts: covers most of each range, not its ends
 _START_SPREAD = 1.5
-# of the stated noise, or more, is the samples' own: with less, what is left on a real sky, which is smooth, passes for
-# pointing errors of degrees, and for broad errors twice as large as halves of directions show them
+# least ratio of the samples' own noise to the stated noise. With less, the smooth residuals of a real sky pass for
+# pointing errors of degrees, and for broad errors twice as large as those that halves of the directions show
 _LEAST = 1.0
-# of the second difference of the logarithm of neighbouring size bins. Of a lognormal mode it is the square of their
-# distance, 0.27, over that of the width: -0.6 for the narrowest that networks state, 0.35; between two modes up to 1
+# sigma of the second difference of the logarithms of neighbouring size bins. In a lognormal mode the second difference
+# is minus the square of the bins' distance, 0.27, over the square of the width: -0.6 for the narrowest width that
+# networks state, 0.35. Between two modes it is up to 1
 _BEND = 1.0
-# wavelengths that tell the sizes of particles: so many, and the longest by the shortest
+# least number of wavelengths that determine the sizes of particles, and least ratio of the longest to the shortest
 _MANY_WAVELENGTHS, _WIDE = 3, 1.5
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A checked question about a sky.
+    """A checked request for a fit of a sky.
 
-    `own` and `shared` names stand in the order of `PARAMETERS`, so that the same names in another order are the same
-    program; `slopes` is the solver of derivatives, None for the same one; `places` `[time, direction]` says which
-    directions `problem` holds; `rows` are the priors on the parameters' scales; `linked` says whether neighbours in
-    time are tied.
+    `own` and `shared` are in the order of `PARAMETERS`, so that the same names in another order use the same compiled
+    program. `slopes`: solver of the derivatives, None for the same solver. `places` `[time, direction]`: the directions
+    that `problem` holds. `rows`: the priors on the parameters' scales. `linked`: whether neighbours in time are tied.
     """
 
     sky: Sky
@@ -78,11 +78,11 @@ class Prepared:
 
     @property
     def order(self) -> np.ndarray:
-        """The place of each free name, as the user ordered them, among `names`."""
+        """The index among `names` of each free name, in the user's order."""
         return np.array([self.names.index(n) for n in self.free])
 
     def options(self) -> dict:
-        """What `retrieve` takes besides the samples, the model, the names and the priors."""
+        """The arguments of `retrieve` besides the samples, the model, the free names, the priors and the start."""
         given = self.measurement.model_error
         sizes, strength = self.measurement.shared_errors()
         return {
@@ -99,12 +99,12 @@ class Prepared:
 
 
 def usual_free(sky: Sky) -> tuple[str, ...]:
-    """The names that are free where nobody says: what a sky of this kind determines.
+    """The default free names: the parameters that a sky of this kind determines.
 
-    Spheres in two modes of size where spectral radiance of three wavelengths or more tells of them, for they explain
-    directions that were held out better than two lobes, whose shape no wavelength changes
-    (experiments/validation/error_bars.py); two lobes else, and of a simulated sky whose haze is of lobes. The pointing
-    too, but of an instrument that follows the sun, which knows where it looks.
+    They are those of spheres in two size modes where spectral radiance of three wavelengths or more determines these.
+    Spheres explain held-out directions better than two lobes, whose shape does not change with wavelength
+    (experiments/validation/error_bars.py). Otherwise, and for a simulated sky whose haze has lobes, they are those of
+    two lobes. The pointing is free too, except for an instrument that follows the sun, which knows where it looks.
     """
     seen = sky.wavelength_nm[sky.usable.any(axis=(0, 1))]
     many = sky.response is None and seen.size >= _MANY_WAVELENGTHS and seen.max() > _WIDE * seen.min()
@@ -115,7 +115,7 @@ def usual_free(sky: Sky) -> tuple[str, ...]:
 
 
 def _maker(sky: Sky) -> SkyModel:
-    """What a simulated sky says that it was made with."""
+    """The model with which a simulated sky was made, as it states."""
     return SkyModel(from_description(sky.made_by["atmosphere"], "made_by.atmosphere"))
 
 
@@ -133,7 +133,7 @@ def prepared(
     smooth: Mapping[str, float] | None = None,
     draft: AbstractSolver | None = None,
 ) -> Prepared:
-    """The question, arguments as those of `invert`.
+    """Check the arguments, which are those of `invert`, and prepare the request.
 
     **Errors:** `ValueError` for unknown or contradicting names, settings out of range, a sky without a usable sample.
     """
@@ -141,7 +141,7 @@ def prepared(
     said = free is None
     free = usual_free(sky) if free is None else tuple(free)
     measurement = NoiseModel() if measurement is None else measurement
-    # colours of a camera are told less by polarisation than by what its channels really are
+    # polarisation matters less for a camera's colours than the true shape of its channels
     polarised = sky.response is None or sky.degree_of_polarisation is not None
     solver = OrdersOfScattering.normal(polarised=polarised) if solver is None else solver
     start = start_at(sky, free) if start is None else start
@@ -190,7 +190,7 @@ def _check_polarised(solvers: tuple[AbstractSolver, ...], measurement: NoiseMode
 
 
 def start_at(sky: Sky, free: Sequence[str]) -> SkyModel:
-    """The model a fit of a sky starts from, with the pressure and the ozone of its station (`start_model`)."""
+    """The start model of a fit of a sky, with the pressure and the ozone of its station (`start_model`)."""
     ozone = {} if np.isnan(sky.ozone_du) else {"ozone": sky.ozone_du}
     if "ozone" in free and ozone:
         ozone["ozone"] = float(np.clip(sky.ozone_du, PARAMETERS["ozone"].lower + 1.0, PARAMETERS["ozone"].upper - 1.0))
@@ -198,7 +198,7 @@ def start_at(sky: Sky, free: Sequence[str]) -> SkyModel:
 
 
 def _assumed(sky: Sky, start: SkyModel, free: tuple[str, ...]) -> Iterator[str]:
-    """What is taken of the station that neither its file nor the user tells."""
+    """Yield a note on the station's pressure if it is assumed: neither the file nor the user states it."""
     pressure, sentence = station_pressure(sky)
     held = fixed_values(start, free).get("pressure")
     if sentence and held is not None and np.isclose(held, pressure, rtol=1e-5):
@@ -206,7 +206,7 @@ def _assumed(sky: Sky, start: SkyModel, free: tuple[str, ...]) -> Iterator[str]:
 
 
 def _unlike_its_maker(sky: Sky, start: SkyModel, free: tuple[str, ...]) -> Iterator[str]:
-    """What is held fixed at other values than a simulated sky says that it was made with."""
+    """Yield a note on parameters held fixed at other values than those that a simulated sky was made with."""
     if "atmosphere" not in sky.made_by:
         return
     true, held = fixed_values(_maker(sky), free), fixed_values(start, free)
@@ -219,8 +219,8 @@ def _unlike_its_maker(sky: Sky, start: SkyModel, free: tuple[str, ...]) -> Itera
 def flaws(asked: Prepared) -> list[str]:
     """Why each time cannot be fitted.
 
-    "no_samples", "too_few_samples", "sun_below_horizon", "sun_too_low" for
-    the solver, or "" if it can.
+    The reason is "no_samples", "too_few_samples", "sun_below_horizon" or "sun_too_low" (for the solver); "" if the time
+    can be fitted.
     """
     counts = asked.sampling.used[:, :, asked.chosen].sum(axis=(1, 2))
     sun = asked.sky.sun_zenith.reshape(len(counts), -1).max(axis=1)
@@ -243,7 +243,7 @@ _WHY = {
 
 
 def fittable(asked: Prepared) -> Sky | None:
-    """The sky without the times that cannot be fitted, which its notes name; None if it is all of them, or none."""
+    """The sky without the times that cannot be fitted, which its notes name; None if all or none can be fitted."""
     why = flaws(asked)
     kept = [t for t, flaw in enumerate(why) if not flaw]
     if not kept or len(kept) == len(why):
@@ -254,7 +254,7 @@ def fittable(asked: Prepared) -> Sky | None:
 
 
 def check(asked: Prepared) -> None:
-    """A `ValueError` if a time cannot be fitted, or if all are no sky; what is odd goes into the notes."""
+    """Raise a `ValueError` if a time cannot be fitted or if no time can be a sky; add oddities to the notes."""
     for t, flaw in enumerate(flaws(asked)):
         if flaw == "sun_below_horizon":
             raise ValueError(f"`sky` has the sun at or below the horizon at time {t}: it cannot be inverted")
@@ -277,7 +277,7 @@ def check(asked: Prepared) -> None:
 
 
 def first_points(asked: Prepared, times: np.ndarray, guess: bool = True, starts: int = 1, seed: int = 0) -> Point:
-    """Where the search begins, `[start, ...]`: the start or the guess from the data, then random ones."""
+    """Starting points of the search, `[start, ...]`: the start model or the guess from the data, then random points."""
     names, own = asked.names, len(asked.own)
     if guess:
         values = first_guess(asked.solver.geometry, asked.start, names, asked.problem.at(times))
@@ -286,7 +286,7 @@ def first_points(asked: Prepared, times: np.ndarray, guess: bool = True, starts:
     free = np.array([[PARAMETERS[n].unbound(v) for n, v in zip(names, row, strict=True)] for row in values])
     random = np.random.default_rng(seed)
     points = np.stack([free, *(_START_SPREAD * random.standard_normal(free.shape) for _ in range(starts - 1))])
-    # shared numbers begin in the middle of what the times say
+    # shared numbers begin at their median over the times
     return Point(as_float(points[:, :, :own]), as_float(np.median(points[:, :, own:], axis=1)))
 
 
@@ -319,7 +319,7 @@ def _bends(own: tuple[str, ...], shared: tuple[str, ...]):
 
 
 def _checked_priors(given: Mapping, free: tuple[str, ...]) -> dict[str, tuple[float, float]]:
-    """The priors that are given, and the climatology of what none is given for; None: no prior."""
+    """The given priors, and the climatology of parameters that are given none; None: no prior."""
     usual = {name: PARAMETERS[name].climatology for name in free}
     priors = {}
     for name, entry in {**usual, **given}.items():

@@ -1,4 +1,4 @@
-"""From the estimates of all times to a `Fit`: values in the user's order, the fitted sky, words."""
+"""Join the estimates of all times to a `Fit`: values in the user's order, the fitted sky, sentences."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -16,9 +16,9 @@ from .sampling import scale_at
 from .uncertainty import Estimate
 
 
-# of its own sigma: what is further contradicts the sky
+# number of its sigmas beyond which a direct beam contradicts the sky
 _FAR_BEAM = 3.0
-# wavelengths that tell a power of the wavelength from others
+# least number of wavelengths that distinguish a power law of the wavelength from other laws
 _TELLING = 4
 _WORDS = ("result", "undetermined", "doubt")
 
@@ -26,7 +26,7 @@ _WORDS = ("result", "undetermined", "doubt")
 def fit_of(
     asked: Prepared, groups: Sequence[np.ndarray], parts: Sequence[Estimate], spreads: Sequence[np.ndarray] = ()
 ) -> Fit:
-    """The estimates of all groups of times as one `Fit`; `spreads` of each, by the jackknife, or none."""
+    """Join the estimates of all groups of times to one `Fit`; `spreads`: jackknife sigma of each group, or none."""
     sky = asked.sky
     rows: list[dict] = [{} for _ in sky.time]
     for number, (group, part) in enumerate(zip(groups, parts, strict=True)):
@@ -34,7 +34,7 @@ def fit_of(
             rows[t] = _row(asked, int(t), index, part, spreads[number] if spreads else None)
     stack: dict[str, Any] = {key: np.stack([row[key] for row in rows]) for key in rows[0] if key not in _WORDS}
     words: dict[str, Any] = {key: tuple(row[key] for row in rows) for key in _WORDS}
-    # a lamp in the view does not make the rest of the fit a poor one
+    # a lamp in the view does not make the rest of the fit poor
     out = outliers(stack["weight"])
     judged = sky, stack["model"], asked.sampling.used & ~out[..., None]
     beyond = [f"{at_time(sky, t)}{said}" for t, said in enumerate(words.pop("doubt")) if said]
@@ -54,7 +54,7 @@ def fit_of(
 
 
 def _left_out(sky: Sky, out: np.ndarray) -> Iterator[str]:
-    """How many directions of each time the loss rejects and the verdict leaves out."""
+    """Yield notes on how many directions of each time the loss rejects and the verdict leaves out."""
     for t, count in enumerate(out.sum(axis=1).tolist()):
         if count:
             known = int(np.isfinite(sky.view_zenith[t]).sum())
@@ -62,14 +62,14 @@ def _left_out(sky: Sky, out: np.ndarray) -> Iterator[str]:
 
 
 def _days_together(asked: Prepared) -> Iterator[str]:
-    """What is the same on several days because nobody said otherwise."""
+    """Yield a note if several days share parameters."""
     days = np.unique(asked.sky.time[~np.isnat(asked.sky.time)].astype("datetime64[D]"))
     if days.size > 1 and asked.shared:
         yield f"{days.size} days share one {', '.join(asked.shared)}"
 
 
 def _of_the_beam(asked: Prepared, residual: np.ndarray) -> Iterator[str]:
-    """Where the direct beam contradicts the sky."""
+    """Yield notes where the direct beam contradicts the sky."""
     beam = asked.problem.beside
     for t, row in enumerate(residual):
         if beam is None or not (np.abs(row) > _FAR_BEAM).any():
@@ -89,14 +89,14 @@ def _of_the_beam(asked: Prepared, residual: np.ndarray) -> Iterator[str]:
 
 
 def _of_the_degree(asked: Prepared, rms: np.ndarray) -> Iterator[str]:
-    """How far the measured polarisation is from that of the fit."""
+    """Yield notes on how far the measured polarisation is from that of the fit."""
     for t in np.flatnonzero(np.isfinite(rms)):
         name = at_time(asked.sky, int(t))
         yield f"{name}degree of polarisation: model minus measurement {rms[t]:.2g} of its sigmas (rms)"
 
 
 def _as_of_air(asked: Prepared, held: np.ndarray, depth: np.ndarray) -> bool:
-    """Whether optical depth at the `held` wavelengths is nearer a power of the wavelength without that of the air."""
+    """Whether optical depth at `held` wavelengths is nearer a power law once that of the air is subtracted."""
     wavelength = asked.sky.wavelength_nm[asked.chosen[held]]
     air = np.asarray(asked.start.atmosphere.rayleigh.optical_depth_at(as_float(wavelength)), float)
     if held.sum() < _TELLING or np.any(depth <= air):
@@ -107,7 +107,7 @@ def _as_of_air(asked: Prepared, held: np.ndarray, depth: np.ndarray) -> bool:
 
 
 def _kept_share(residual: np.ndarray, inverse_sigma: np.ndarray, weight: np.ndarray) -> float:
-    """Chi-square per sample without the outliers, by that of all samples; `[direction, wavelength]` each."""
+    """Chi-square per sample without outliers over that of all samples; arguments are `[direction, wavelength]`."""
     used = inverse_sigma > 0.0
     kept = used & ~outliers(weight)[:, None]
     square = (np.where(used, residual, 0.0) * inverse_sigma) ** 2
@@ -179,7 +179,7 @@ def _degree_rms(asked: Prepared, t: int, index: int, part: Estimate) -> float:
 
 
 def _beside_residual(asked: Prepared, t: int, index: int, part: Estimate) -> np.ndarray:
-    """Model minus measurement over its sigma of what is measured besides the radiance, NaN where it is not."""
+    """Residuals over their sigma of the measurements besides the radiance, NaN where nothing was measured."""
     values, weight = (np.asarray(v, float) for v in (asked.problem.beside, asked.problem.beside_weight))
     off = np.asarray(part.beside, float)[index] - values[t]
     return np.where(weight[t] > 0.0, off * weight[t], np.nan)
@@ -188,9 +188,9 @@ def _beside_residual(asked: Prepared, t: int, index: int, part: Estimate) -> np.
 def described_time(
     free: tuple[str, ...], shared: tuple[str, ...], order: np.ndarray, values, noise, model
 ) -> tuple[dict, np.ndarray]:
-    """What an estimate says of the parameters of one time, in the order in which the user named them.
+    """Describe the parameters of one time from an estimate, in the order in which the user named them.
 
-    **Arguments:** `order`, the place of each free name in the arrays; `values`, covariances `noise` and `model`.
+    **Arguments:** `order`, the index of each free name in the arrays; `values`, covariances `noise` and `model`.
     **Returns:** values, sigma, covariance, model_sigma, at_bound, determined; the change that orders the lobes.
     """
     values, change = _ordered_lobes(free, shared, np.asarray(values, float)[order])
@@ -209,10 +209,10 @@ def described_time(
 
 
 def _ordered_lobes(free: tuple[str, ...], shared: tuple[str, ...], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The values with the narrower lobe first, which is the same phase function, and the matrix of that change."""
+    """The values with the narrower lobe first, which keeps the phase function, and the matrix of that change."""
     change = np.eye(len(free))
     phase = set(free) & {*LOBES, "forward_fraction_slope"}
-    # lobes of which only one is shared cannot change places at some of the times
+    # if only some parameters of the lobes are shared, the lobes cannot change places at single times
     if not set(LOBES) <= phase or phase & set(shared) not in (set(), phase):
         return values, change
     first, second, share = (free.index(name) for name in LOBES)
@@ -228,7 +228,7 @@ def _ordered_lobes(free: tuple[str, ...], shared: tuple[str, ...], values: np.nd
 
 
 def _turned(change: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """The covariance after a signed permutation; infinite variances stay so, and what is not a number."""
+    """The covariance after a signed permutation; infinite variances stay infinite, and NaN stays NaN."""
     known = ~np.isinf(covariance)
     turned = change @ np.where(known, covariance, 0.0) @ change.T
     return np.where(np.abs(change) @ (~known).astype(float) @ np.abs(change).T > 0.0, np.inf, turned)

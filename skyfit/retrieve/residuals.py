@@ -1,4 +1,4 @@
-"""Residuals of some times and their slopes: what a joint fit minimises, in few rows a time."""
+"""Residuals of some times and their slopes, which a joint fit minimises, reduced to few rows for each time."""
 
 from typing import NamedTuple
 
@@ -18,12 +18,12 @@ from .model import SkyModel
 from .parameters import PARAMETERS, POINTING, with_values
 
 
-# whether precision is double: the share of a parameter's range over which slopes are taken, and whether to both sides
+# for double precision or not: step of the difference quotients as a share of the range, and whether they are two-sided
 _DIFFERENCE = {True: (1e-4, False), False: (5e-3, True)}
 
 
 class Choices(NamedTuple):
-    """What a retrieval is compiled for: names of each time's own and of the shared parameters, loss, calibration."""
+    """The static choices of a retrieval: names of each time's own and of the shared parameters, loss, calibration."""
 
     own: tuple[str, ...]
     shared: tuple[str, ...]
@@ -36,10 +36,10 @@ class Choices(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """Settings that are traced: another value compiles nothing.
+    """Traced settings: another value needs no new compilation.
 
     `threshold` of the loss in standard deviations; `model_error`, relative; `max_steps` of each search; `expected`
-    sizes of the errors in common; `level`, relative, of an error common to a time.
+    sizes of the shared errors; `level`, relative size of an error that all samples of a time share.
     """
 
     threshold: Float[Array, ""]
@@ -53,8 +53,8 @@ class Priors(NamedTuple):
     """Gaussian priors on each parameter's scale: centre and one over sigma (0: none), in the order own, shared.
 
     `calibration`: one over the sigma of a wavelength's scale, None where the scale is exact. `step`: one over the sigma
-    of the change between two neighbours in time. `smooth`: combinations of parameters, on their scales and over the
-    sigma, that are 0 before the data are seen, none mixed of own and shared.
+    of the change between two neighbours in time. `smooth`: linear combinations of parameters, on their scales and over
+    the sigma, with a prior mean of 0. No combination mixes own and shared parameters.
     """
 
     centre: Float[Array, " parameter"]
@@ -64,24 +64,24 @@ class Priors(NamedTuple):
     smooth: Float[Array, "row parameter"]
 
     def rows(self) -> Float[Array, "row parameter"]:
-        """The slopes of what is told of the parameters one by one, then of their combinations."""
+        """The slopes of the priors by the parameters: of single parameters first, then of combinations."""
         return jnp.concatenate([jnp.diag(self.inverse_sigma), self.smooth])
 
     def residual(self, scaled: Float[Array, " parameter"]) -> Float[Array, " row"]:
-        """`rows` at the parameters' places on their scales."""
+        """The residuals of the priors, in the order of `rows`, at the parameters' positions on their scales."""
         return jnp.concatenate([(scaled - self.centre) * self.inverse_sigma, self.smooth @ scaled])
 
     def of(self, which: slice) -> "Priors":
-        """Those of some of the parameters."""
+        """The priors of some of the parameters."""
         centre, inverse_sigma = self.centre[which], self.inverse_sigma[which]
         return self._replace(centre=centre, inverse_sigma=inverse_sigma, smooth=self.smooth[:, which])
 
 
 class Weighing(NamedTuple):
-    """How samples of the sky are weighed, of one time or with a time axis.
+    """The weighting of the sky's samples, of one time or with a time axis.
 
-    `scale`, the noise over the stated one; `excess`, by how much more uncertain they leave the parameters than
-    independent noise would: so much more all else weighs, which is the priors but those of calibration, and the beam.
+    `scale`: the noise over the stated noise. `excess`: the parameters' uncertainty over that by independent noise. The
+    priors, except those of calibration, and the measurements besides the radiance are multiplied by `excess`.
     """
 
     scale: Float[Array, "*time"]
@@ -93,8 +93,10 @@ class Weighing(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What the solver said at the last point that was accepted: slopes by the parameters on their scales, and `turn`,
-    those by the instrument's two pointing offsets in radians. Of one time, or with a time axis in front."""
+    """The solver's output at the last accepted point, of one time, or with a time axis in front.
+
+    `jacobian`: slopes by the parameters on their scales. `turn`: slopes by the two pointing offsets in radians.
+    """
 
     radiance: Float[Array, "*time direction channel"]
     beside: Float[Array, "*time other"] | None
@@ -123,18 +125,18 @@ def _with_slope(names: tuple[str, ...], free):
 
 
 def _samples(radiance, beside):
-    """The sky and what is measured besides in one row of samples."""
+    """Join the sky and the measurements besides the radiance to one row of samples."""
     return radiance.reshape(-1) if beside is None else jnp.concatenate([radiance.reshape(-1), beside])
 
 
 def weight_of(one: Problem, weighing: Weighing) -> Float[Array, " sample"]:
-    """The weight of every sample of one time before the loss, 0 where masked; those of what is besides are the last."""
+    """The weight of every sample of one time before the loss, 0 where masked; those besides the radiance come last."""
     sky = one.weight.reshape(-1) / weighing.scale
     return sky if one.beside_weight is None else jnp.concatenate([sky, one.beside_weight * weighing.excess])
 
 
 def trusted(choices: Choices, threshold, one: Problem, known: Known, calibration, weighing: Weighing) -> Robust:
-    """The weighed residuals of one time after the loss; what is besides is never trusted less."""
+    """The weighted residuals of one time after the loss, which does not act on those besides the radiance."""
     residual = _samples(known.radiance * calibration[None] - one.measured, beside_residual(one, known))
     plain = residual * weight_of(one, weighing)
     after = robust(plain, choices.loss, threshold)
@@ -143,12 +145,12 @@ def trusted(choices: Choices, threshold, one: Problem, known: Known, calibration
 
 
 def beside_residual(one: Problem, known: Known) -> Float[Array, " other"] | None:
-    """Model minus measurement of what is measured besides the radiance, or None."""
+    """Model minus measurement for the measurements besides the radiance, or None."""
     return None if one.beside is None or known.beside is None else known.beside - one.beside
 
 
 def box(choices: Choices, point: Point) -> Point:
-    """How far from 0 each unknown of a point may be: the channels' scales any distance."""
+    """The largest distance from 0 of each unknown of a point, infinite for the channels' scales."""
     scales = point.shared.size - len(choices.shared)
     shared = jnp.concatenate([jnp.full(len(choices.shared), LOGISTIC_LIMIT), jnp.full(scales, jnp.inf)])
     own = jnp.full_like(point.own, LOGISTIC_LIMIT)
@@ -163,9 +165,9 @@ def calibration_of(choices: Choices, point: Point, channels: int) -> Float[Array
 
 
 def columns_of(choices: Choices, one: Problem, known: Known, calibration, unit) -> Float[Array, "sample column"]:
-    """The slopes of one time's samples by all that is fitted, own, shared, and the channels' scales last.
+    """The slopes of one time's samples by all unknowns, in the order own, shared, the channels' scales.
 
-    **Arguments:** `unit`, of each parameter, by that on its scale.
+    **Arguments:** `unit`, the unit of each parameter's slope, as a length on the parameter's scale.
     """
     columns = known.jacobian * instrument_gain(calibration, one)[:, None] * unit[None]
     if not choices.calibrated:
@@ -178,10 +180,10 @@ def columns_of(choices: Choices, one: Problem, known: Known, calibration, unit) 
 
 
 def reduced_rows(choices: Choices, rows, right, slope, prior_right):
-    """One time's rows as few, with those of the priors of its own parameters.
+    """Reduce the rows of one time to few, and append those of the priors of its own parameters.
 
-    **Arguments:** `rows` `[row, column]`, columns as of `columns_of`; `right` `[row, side]`; slopes `[row, own]` and
-    right-hand sides of the own parameters' priors.
+    **Arguments:** `rows` `[row, column]`, columns as of `columns_of`; `right` `[row, side]`; `slope` `[row, own]` and
+    `prior_right`, slopes and right-hand sides of the own parameters' priors.
     **Returns:** own, common (the channels' scales last), right.
     """
     count = len(choices.own)
@@ -202,14 +204,14 @@ def linearised(
     scaled,
     one: Problem,
 ) -> Known:
-    """What the solver says of one time, and its slopes by the parameters on their scales, by `slopes_by` if given.
+    """The solver's output for one time, and its slopes by the parameters on their scales, by `slopes_by` if given.
 
-    The slopes are differences over a small share of each range, kept inside it: to one side in double precision, to
-    both sides, over more, in single. Values and slopes then are one loop through one copy of the solver: compiling
-    forward-mode slopes would take most of a first retrieval.
+    The slopes are difference quotients over a small share of each range, kept inside it. They are one-sided in double
+    precision, and two-sided over a larger share in single precision. Values and slopes are thus one loop through one
+    copy of the solver. Compiling forward-mode slopes would take most of the time of a first retrieval.
     """
     count = len(names)
-    # where the instrument looked moves the samples even if it is not fitted
+    # the slopes by the pointing are needed even if it is not fitted
     others = [n for n in POINTING if n not in names]
     names = names + tuple(others)
     held = [PARAMETERS[n].from_leaf(PARAMETERS[n].leaf(fixed)) for n in others]
@@ -240,7 +242,7 @@ def linearised(
 
 
 def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolver | None):
-    """The rows of all times, linear about the point, for `minimise`."""
+    """The function for `minimise` that gives the rows of all times, linear about the point."""
     names, count = choices.names, len(choices.own)
 
     def rows(point: Point, arguments):
@@ -275,7 +277,7 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
 
 
 def instrument_gain(calibration, one: Problem) -> Float[Array, " sample"]:
-    """The instrument's scale of every sample of one time, 1 for what is besides."""
+    """The instrument's scale of every sample of one time, 1 for measurements besides the radiance."""
     sky = jnp.broadcast_to(calibration[None], one.measured.shape).reshape(-1)
     return sky if one.beside is None else jnp.concatenate([sky, jnp.ones(one.beside.shape[0], sky.dtype)])
 
@@ -295,14 +297,14 @@ def shared_priors(choices: Choices, shared, priors: Priors, excess):
 
 
 def with_scales(rows: Float[Array, "row shared"], calibration, scales: int) -> Float[Array, "more column"]:
-    """The priors' rows of the shared parameters with a column and a row for each channel's scale after them."""
+    """Append a column and a row for each channel's scale to the rows of the shared parameters' priors."""
     own = jnp.diag(jnp.full(scales, calibration, rows.dtype))
     above = jnp.pad(rows, ((0, 0), (0, scales)))
     return jnp.concatenate([above, jnp.pad(own, ((0, 0), (rows.shape[1], 0)))])
 
 
 def cost(choices: Choices, priors: Priors, point: Point, residual, weighing: Weighing) -> Float[Array, ""]:
-    """Half the sum of squares after the loss, `residual`, priors included."""
+    """Half the sum of squares of the residuals after the loss, `residual`, and of the priors."""
     total = jnp.sum(residual**2)
     count = len(choices.own)
     if count:

@@ -1,4 +1,4 @@
-"""What a fit of a sky ends with."""
+"""The result of a fit of a sky."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -34,25 +34,27 @@ class Fit:
     """Parameters of a sky with their uncertainty, and the sky that they give; host-side arrays.
 
     - `values`, `sigma`, `at_bound`, `determined` are `[time, parameter]` in the order of `free`, units as in
-      `PARAMETERS`; `covariance` `[time, parameter, parameter]`. Those of `shared` are the same at all times
-    - `sigma` holds noise of all kinds, priors, and `model_sigma`, the part of the model's stated error;
-      `reduced_chi_square` `[time]` is of all samples and the stated noise
-    - the kinds of noise: `scale` `[time]`, the samples' own, in what was stated; `common` `[time, kind]`, what all
-      wavelengths of a direction share: relative level and colour, and pointing in radians, and what a broad part of the
-      sky shares: relative level and colour; `error_share` `[time, kind]`, of the samples' own and of each of these in
-      the squares of all; `widening` `[time]`, by how much more sigma is, because samples are trusted less
-    - `residual_correlation` `[time, 2]` of what is left beyond them, with the next wavelength and the nearest direction
+      `PARAMETERS`; `covariance` `[time, parameter, parameter]`. Those of `shared` parameters are the same at all times
+    - `sigma` includes noise of all kinds, priors, and `model_sigma`, the part of the model's stated error;
+      `reduced_chi_square` `[time]` is that of all samples with the stated noise
+    - `scale` `[time]`: the samples' own noise over the stated noise. `common` `[time, kind]`: sizes of the errors that
+      all wavelengths of a direction share (relative level, relative colour, pointing in radians) and that a broad part
+      of the sky shares (relative level, relative colour). `error_share` `[time, kind]`: share of the samples' own
+      error, then of each of these, in the sum of squares. `widening` `[time]`: factor by which sigma is larger because
+      samples are trusted less
+    - `residual_correlation` `[time, 2]`: correlation of the residuals, freed of these errors, with the next wavelength
+      and the nearest direction
     - `beam_residual` `[time, fitted wavelength]`: model minus measured direct beam (or optical depth) over its sigma,
       NaN where none was measured
     - `model` is what the instrument would read of the fitted sky on the input's times, directions and wavelengths;
       `rmse` `[time]` is over usable samples, W m^-2 sr^-1 nm^-1
     - `weight` `[time, direction, fitted wavelength]`: 1, less for samples that the loss trusts less, NaN where not used
-    - `gain` `[time, parameter, direction, fitted wavelength]`: change of a parameter by that of a sample of its time
+    - `gain` `[time, parameter, direction, fitted wavelength]`: derivative of a parameter by a sample of its time
     - `calibration`, `calibration_sigma` `[time, fitted wavelength]`: the instrument's scale, 1 where it is not fitted
-    - `jackknife_sigma` `[time, parameter]`: the error by noise as groups of directions show it that are left out by
-      turns, which assumes nothing of the noise; NaN where it was not asked for
+    - `jackknife_sigma` `[time, parameter]`: the error by noise, found by leaving out groups of directions in turn. It
+      assumes nothing about the noise; NaN where it was not requested
     - `degrees_of_freedom` `[time]`: how many parameters the data, not the priors, determine
-    - `result` says how each solve ended; `undetermined` `[time]` names in words what the data leave open
+    - `result` says how each solve ended; `undetermined` `[time]` states in words what the data do not determine
     """
 
     sky: Sky
@@ -117,12 +119,12 @@ class Fit:
         return Fitted(self.sky.time, models, self.solver, self.fwhm_nm, self.fitted_nm, self.calibration, self.response)
 
     def effective_asymmetry(self, t: int) -> "Together | None":
-        """The mean cosine of two lobes at 550 nm at a time at which the data determine it and not each of them."""
+        """The mean cosine of two lobes at 550 nm and time `t`, if the data determine it but not each of the lobes."""
         return effective_asymmetry(self.free, self.values[t], self.covariance[t], self.determined[t])
 
     @property
     def rejected(self) -> np.ndarray:
-        """Directions that the loss trusts less than half on the mean over wavelengths, `[time, direction]`."""
+        """Directions whose mean weight over wavelengths is below one half, `[time, direction]`."""
         return rejected(self.weight)
 
     @property
@@ -162,12 +164,12 @@ class Fit:
         return "\n".join(lines)
 
 
-# of all directions: more that are rejected are no outliers, but what the model does not explain
+# largest share of directions that count as outliers: if more are rejected, the model does not explain the sky
 FEW = 0.2
 
 
 def rejected(weight: np.ndarray) -> np.ndarray:
-    """Directions whose weight is less than half on the mean over wavelengths, `[..., direction]`; NaN: not used."""
+    """Directions whose mean weight over wavelengths is below one half, `[..., direction]`; NaN: not used."""
     held = np.isfinite(weight)
     mean = np.sum(np.where(held, weight, 0.0), axis=-1) / np.maximum(held.sum(axis=-1), 1)
     return held.any(axis=-1) & (mean < 0.5)
@@ -180,21 +182,21 @@ def outliers(weight: np.ndarray) -> np.ndarray:
 
 
 class Together(NamedTuple):
-    """A combination of parameters that is determined where they are not: value, sigma, and their names."""
+    """A combination that is determined although its parameters are not: value, sigma, and the parameters' names."""
 
     value: float
     sigma: float
     names: tuple[str, ...]
 
 
-# the mean cosine of two lobes is that of each, weighted with its share
+# parameters of the mean cosine of two lobes, which is that of each lobe, weighted with the lobe's share
 LOBES = ("asymmetry", "asymmetry_second", "forward_fraction")
 
 
 def effective_asymmetry(free: tuple[str, ...], values, covariance, determined) -> Together | None:
-    r"""$g = f g_1 + (1 - f) g_2$ of two free lobes; None where each is determined, or this is not.
+    r"""The mean cosine $g = f g_1 + (1 - f) g_2$ of two free lobes; None if each is determined, or if g is not.
 
-    **Arguments:** of one time, in the order of `free`. **Returns:** g with its sigma, and the parameters of the lobes.
+    **Arguments:** those of one time, in the order of `free`. **Returns:** g with its sigma, and the lobes' parameters.
     """
     if not set(LOBES) <= set(free):
         return None
@@ -212,9 +214,9 @@ def effective_asymmetry(free: tuple[str, ...], values, covariance, determined) -
 
 # a parameter counts as determined if its sigma is below this share of its allowed range, or e-fold
 _DETERMINED_SHARE = 0.25
-# of a prior's sigma: what is not narrower than this was known before
+# share of a prior's sigma above which a parameter's sigma counts as that of the prior
 _FROM_PRIOR = 0.7
-# of a unit vector: the parameters that make up a combination
+# size of a component of a unit vector above which its parameter is part of a combination
 _PART = 0.35
 
 
@@ -225,7 +227,7 @@ def is_determined(free: tuple[str, ...], values: np.ndarray, sigma: np.ndarray) 
 
 
 def in_words(free: tuple[str, ...], found: dict, triangle: np.ndarray, priors: dict) -> tuple[str, ...]:
-    """Sentences on what the data leave open.
+    """Sentences on what the data do not determine.
 
     **Arguments:** `found`, with sigma, at_bound and determined, `[parameter]`; `triangle`, rows whose normal matrix is
     the inverse covariance of the parameters in units of their `spread`: its small singular values are the weak

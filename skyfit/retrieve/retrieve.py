@@ -31,7 +31,7 @@ from .residuals import (
 from .uncertainty import described, End, Estimate, weighing_at
 
 
-# shares of the sigma by independent noise within which the last search and those before it end
+# tolerances of the last search and of those before it, as shares of the sigma by independent noise
 _NEAR, _FIRST_NEAR = 0.02, 0.5
 
 
@@ -52,22 +52,23 @@ def retrieve(
     expected: Expected | None = None,
     level=0.0,
 ) -> Estimate:
-    """The parameters of some times of a sky and their covariance: pure, for `jit`, `vmap` and `grad`.
+    """Fit the parameters of some times of a sky and their covariance: pure, for `jit`, `vmap` and `grad`.
 
     **Arguments:** `problem`, the samples; `model`, whose other values are not fitted; `free`, names among `PARAMETERS`;
     `solver` of the radiance, `slopes` of its derivatives in the search and in sigma (default: the same one, so that a
     single copy of it is compiled; a coarser one runs faster);
     `shared`, the free names that all times have in common; `priors` in the order (each time's own, shared); `start`,
     unconstrained numbers in that order, `own` `[start, time, parameter]` and `shared` `[start, shared]` (default: the
-    model's values): the search goes from each of them, and once more from the best end with the noise that it left;
-    `loss` beyond `threshold` standard deviations; `model_error`, relative; `max_steps` of each search; `expected` sizes
-    of the errors in common (default: there are none), which widen the covariance; `level`, the relative size of an
+    model's values). The search runs from each start, and once more from the best end with the noise that its residuals
+    show. `loss` beyond `threshold` standard deviations; `model_error`, relative; `max_steps` of each search; `expected`
+    sizes of the shared errors (default: there are none), which widen the covariance; `level`, the relative size of an
     error that a whole time shares. Numbers may be traced, names and solvers are static.
-    **Returns:** an `Estimate`, parameters in the order of `free`. Nothing is raised: `result` and `finite` tell.
-    **Valid:** the search's cost is linear in the number of times, that of the covariance quadratic. Of `values` and
-    `calibration` there are derivatives by all numbers that go in (`implicit.settled`): exact at the least cost, with
-    the weights of the samples held; those of all else are 0. They take the memory and the time of one radiance and
-    its derivatives for each parameter, and a matrix of all unknowns of all times. `gain` is that of Gauss-Newton.
+    **Returns:** an `Estimate`, parameters in the order of `free`. No error is raised: see `result` and `finite`.
+    **Valid:** the cost of the search is linear in the number of times, that of the covariance quadratic. `values` and
+    `calibration` have derivatives by all numerical inputs (`implicit.settled`), exact at the least cost with the
+    weights of the samples held. The derivatives of all other outputs are 0. The derivatives take the memory and the
+    time of one radiance and its derivatives for each parameter, and a matrix of all unknowns of all times. `gain` is
+    that of Gauss-Newton.
     """
     free = tuple(free)
     choices = Choices(
@@ -92,7 +93,7 @@ def retrieve(
     )
     _, fixed = partition(model, free)
     slopes = None if slopes == solver else slopes
-    # the search is not differentiated, but the end that it finds
+    # the end of the search is differentiated, the search is not
     still = jax.lax.stop_gradient((numbers, fixed, problem, priors, start))
     end = search(choices, still[0], (solver, slopes), *still[1:])
     found = described(choices, still[0], *still[2:4], end)
@@ -111,7 +112,7 @@ def retrieve(
 
 
 def shape_of(problem: Problem, *_, **__) -> Estimate:
-    """A tree of the structure of what `retrieve` gives for some samples, whatever else it is asked."""
+    """A tree with the structure of the result of `retrieve` for some samples, whatever its other arguments are."""
     places = Estimate(*range(len(Estimate._fields)))  # pyright: ignore[reportArgumentType]
     return places._replace(beside=None if problem.beside is None else places.beside, result=optx.RESULTS.successful)
 
@@ -125,12 +126,12 @@ def search(
     priors: Priors,
     starts: Point,
 ) -> End:
-    """The best end of the searches from all starts, then from there with noise as large as the residuals show.
+    """Search from all starts, then from the best end with noise as large as the residuals show.
 
-    Errors in common have no say in the samples' weights, but in that of all of them beside the priors: without its
-    level a direction would tell of colours alone, and what is off on a real sky is smooth over neighbours, not a
-    direction's own. The searches run one after the other through the same loop, so that the compiler sees the solvers
-    once.
+    Shared errors do not weight the samples against each other; they weight all samples together against the priors.
+    Without its level a direction would determine colours alone, but the residuals of a real sky are smooth over
+    neighbouring directions, not a direction's own. The searches run one after the other through the same loop, so that
+    the compiler sees the solvers once.
     """
     channels = problem.measured.shape[2]
     none = channels if choices.calibrated else 0
@@ -153,7 +154,7 @@ def search(
         begin = jax.tree.map(lambda a, b: jnp.where(last, a, b), best.point, begin)
         weighing = jax.lax.cond(last, left, lambda _: stated, best)
         arguments = fixed, problem, priors, weighing, numbers.threshold
-        # of the sigma that a search takes for true; the last goes on from where the others end
+        # tolerance as a share of the sigma that a search assumes; the last search continues from the best end
         near = jnp.where(last, _NEAR * weighing.of_all(), _FIRST_NEAR)
         point, known, steps, result = minimise(rows, begin, arguments, limit, none, numbers.max_steps, near)
         total = total_of(point, known, weighing)

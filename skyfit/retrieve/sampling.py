@@ -1,4 +1,4 @@
-"""A measured sky as arrays that a fit takes, and what a model says of each sample."""
+"""Convert a measured sky to the arrays that a fit takes, and read a model at each sample."""
 
 import numpy as np
 
@@ -12,21 +12,21 @@ from .forward import observe, Problem
 from .model import SkyModel
 
 
-# nm; absorption by oxygen and water that the model leaves out (Bird & Riordan 1986, table 1)
+# bands in nm of absorption by oxygen and water that the model leaves out (Bird & Riordan 1986, table 1)
 GAS_BANDS_NM = ((684.0, 700.0), (714.0, 742.0), (756.0, 774.0), (785.0, 850.0), (890.0, 1000.0))
 _MOST_WAVELENGTHS = 40
 # how many lengths the list of directions can have
 _SIZES = 4
-# of a direct beam whose sigma is not given, relative, and of the haze's optical depth: AERONET's field instruments have
-# 0.01 to 0.02 under an overhead sun (Giles et al. 2019, Atmos. Meas. Tech. 12, 169)
+# default relative sigma of a direct beam, and default sigma of the haze's optical depth: AERONET's field instruments
+# have 0.01 to 0.02 under an overhead sun (Giles et al. 2019, Atmos. Meas. Tech. 12, 169)
 _DIRECT_NOISE, _DEPTH_NOISE = 0.02, 0.01
-# of a degree of polarisation whose sigma is not given (Li et al. 2018, J. Quant. Spectrosc. Radiat. Transf. 218, 74:
+# default sigma of a degree of polarisation (Li et al. 2018, J. Quant. Spectrosc. Radiat. Transf. 218, 74:
 # better than 0.01 for CE318-DP photometers)
 _DEGREE_NOISE = 0.01
 
 
 class Sampling:
-    """Which samples of a sky are fitted, and the scenes of any of its wavelengths, on the host."""
+    """The samples of a sky that are fitted, and the scenes at any of its wavelengths, on the host."""
 
     def __init__(self, sky: Sky, fwhm_nm: float | None, field_of_view: float = 0.0):
         self.sky, self.field_of_view = sky, field_of_view
@@ -45,16 +45,16 @@ class Sampling:
 
     @property
     def response(self) -> Response | None:
-        """The channels that are measured, None where they are wavelengths."""
+        """The measured channels, None if the samples are at wavelengths."""
         return self.sky.response
 
     @property
     def fwhm_nm(self) -> float:
-        """Of the line shape that is taken, NaN for none."""
+        """Full width at half maximum of the line shape in use, NaN for none."""
         return self.seen.fwhm_nm if isinstance(self.seen, LineShape) else float("nan")
 
     def _usable(self) -> np.ndarray:
-        """The sky's mask without what the model cannot explain, counted in the notes."""
+        """The sky's mask without samples that the model cannot explain, which the notes count."""
         sky = self.sky
         if self.response is not None:
             return sky.usable
@@ -70,17 +70,17 @@ class Sampling:
         return sky.usable & ~(outside | bands)
 
     def chosen(self) -> np.ndarray:
-        """Indices of the sky's wavelengths that are fitted: all that hold samples, or an even choice of many."""
+        """Indices of the sky's wavelengths that are fitted: all that hold samples, or evenly chosen ones if many."""
         candidates = np.flatnonzero(self.used.any(axis=(0, 1)))
         if candidates.size <= _MOST_WAVELENGTHS:
             return candidates
         return candidates[np.linspace(0, candidates.size - 1, _MOST_WAVELENGTHS).round().astype(int)]
 
     def problem(self, chosen: np.ndarray, measurement: NoiseModel) -> tuple[Problem, np.ndarray]:
-        """The samples at the chosen wavelengths, and the directions that each time has any of, `[time, direction]`.
+        """The samples at the chosen wavelengths, and the directions of each time that have any, `[time, direction]`.
 
-        Directions that a time does not use are left out of it, a quarter of all or none, so that skies with other masks
-        are rarely another shape to compile for; the lists are filled up with their first.
+        Unused directions are left out in steps of a quarter of all directions, so that skies with other masks rarely
+        have another shape to compile for. Shorter lists are filled up by repeating their directions, without weight.
         """
         sky, used = self.sky, self.used
         sigma = measurement.sigma(sky, used)
@@ -128,7 +128,7 @@ class Sampling:
         if self.response is not None:
             return None
         values, sigma = sky.aerosol_optical_depth, sky.aerosol_optical_depth_sigma
-        # the optical depth knows neither the instrument's scale nor the air mass
+        # the optical depth depends neither on the instrument's scale nor on the air mass
         if values is not None:
             sigma = np.full(values.shape, _DEPTH_NOISE) if sigma is None else sigma
             good = np.isfinite(values)
@@ -145,7 +145,7 @@ class Sampling:
         return _weighed(good, values, sigma)
 
     def _degree(self, times, directions, chosen, mask):
-        """Degrees of polarisation in one row a time and one over their sigma; None where there are none."""
+        """Degrees of polarisation in one row for each time, and one over their sigma; None where there are none."""
         degree, sigma = self.sky.degree_of_polarisation, self.sky.degree_of_polarisation_sigma
         if degree is None:
             return None
@@ -161,7 +161,7 @@ class Sampling:
         wavelengths = channels if self.response is None else self.inside
         suns = sky.sun_zenith, sky.sun_azimuth
         if sky.view_zenith_by_wavelength is not None and suns[0].ndim == 1:
-            # each view stands under a sun of its own
+            # each wavelength's view has its own sun
             suns = (np.repeat(v[:, None], len(sky.wavelength_nm), axis=1) for v in suns)
         suns = [as_float(v[times] if v.ndim == 1 else v[times][:, channels]) for v in suns]
         count = len(sky.time[times])
@@ -177,14 +177,14 @@ class Sampling:
         }
 
     def readings(self, solver: AbstractSolver, model: SkyModel, time: int) -> np.ndarray:
-        """The model in every direction, at each wavelength or channel, `[direction, wavelength]`; NaN beyond it."""
+        """Read the model in every direction at each wavelength or channel, `[direction, wavelength]`; NaN beyond it."""
         sky = self.sky
-        # all channels of a response, or what the solar spectrum covers of the wavelengths
+        # all channels of a response, or the wavelengths that the solar spectrum covers
         places = self.inside if self.response is None else np.arange(sky.radiance.shape[2])
         nothing = np.zeros((1, sky.radiance.shape[1], places.size))
         problem = Problem(
             **self._arrays(slice(time, time + 1), places),
-            # a direction that this time has not: any place does
+            # for directions that this time lacks, any view will do
             **self._views(slice(time, time + 1), slice(None), places),
             measured=as_float(nothing),
             weight=as_float(nothing),
@@ -205,18 +205,18 @@ def _reading(solver, model, one: Problem):
     return observe(solver, model, one).radiance
 
 
-# runs once or twice: what XLA's further passes gain is less than they take
+# runs once or twice: XLA's further passes take more time than they save
 _read = kept(_reading, lambda *_: 0, compiler_options={"xla_backend_optimization_level": 1})
 
 
 def scale_at(wavelength_nm: np.ndarray, fitted_nm: np.ndarray, calibration: np.ndarray) -> np.ndarray:
-    """The instrument's scale at wavelengths, or of channels by what they are called, from that at the fitted ones."""
+    """Interpolate the instrument's scale from the fitted wavelengths to others; channels go by their nominal ones."""
     order = np.argsort(fitted_nm)
     return np.interp(wavelength_nm, fitted_nm[order], calibration[order])
 
 
 def _seen(sky: Sky, fwhm_nm: float | None, notes: list[str]) -> Seen:
-    """How the instrument sees: by the sky's response; else the line shape given, the sky's, or found in solar lines."""
+    """How the instrument sees: the sky's response; else the line shape given, the sky's, or that of the solar lines."""
     if sky.response is not None:
         if fwhm_nm is not None and np.isfinite(fwhm_nm):
             raise ValueError(

@@ -1,4 +1,4 @@
-"""What is known of the errors of the parameters where a search has ended."""
+"""The errors of the parameters at the end of a search."""
 
 from typing import Any, NamedTuple
 
@@ -33,24 +33,24 @@ from .residuals import (
 )
 
 
-# strengths, in units of a column's length, of what keeps the elimination of unknowns without influence sound
+# strength, relative to a column's length, of the rows that keep the elimination sound for unknowns without influence
 _GUARD = 1e-6
-# the least influence that residuals are taken to have on the mean, where hardly any is small
+# least mean slope of the influence of residuals, for times at which hardly any residual is small
 _LEAST_SLOPE = 0.1
 
 
 class Estimate(NamedTuple):
     """The outcome for some times; arrays only, so that it passes through jit and vmap.
 
-    `values` and covariances are in the order of the free names, in the parameters' stated units. `noise` is the
-    covariance by noise of all kinds, priors included, `model` that by the model's stated error and that of a whole
+    `values` and covariances are in the order of the free names, in the parameters' stated units. `noise`: covariance by
+    noise of all kinds, priors included. `model`: covariance by the model's stated error and by the error of a whole
     time's level. `triangle` has the scaled Jacobian's singular values.
-    `scale`: the samples' own noise over what is stated; `common`: that in common, in the order of `KINDS`;
-    `widening`: by how much more `noise` is widened, because the loss trusts some less; `chi_square` is of all samples
-    and the stated noise. `error_share` of each kind of error, the samples' own first, in the squares of all together.
-    `residual_correlation` of what is left, between neighbours in wavelength and in direction.
-    `radiance`, `beside`: what the instrument would read of the end. `gain`: d parameter / d radiance of the same time.
-    `cost`: half the sum of squares after the loss.
+    `scale`: the samples' own noise over the stated noise. `common`: sizes of the shared errors, in the order of
+    `KINDS`. `widening`: factor by which `noise` is widened because the loss trusts some samples less. `chi_square`:
+    reduced, of all samples with the stated noise. `error_share`: share of each kind of error, the samples' own first,
+    in the sum of squares. `residual_correlation`: that of the whitened residuals between neighbours in wavelength and
+    in direction. `radiance`, `beside`: the instrument's reading of the end. `gain`: d parameter / d radiance of the
+    same time. `cost`: half the sum of squares after the loss.
     """
 
     values: Float[Array, "time parameter"]
@@ -77,7 +77,7 @@ class Estimate(NamedTuple):
 
 
 class End(NamedTuple):
-    """Where a search has ended, what the solver says there, and how the samples were weighed."""
+    """The end of a search: the point, the solver's output there, and the weighting of the samples."""
 
     point: Point
     known: Known
@@ -88,13 +88,14 @@ class End(NamedTuple):
 
 
 def components_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Priors, end: End) -> Components:
-    """The sizes of each time's errors that the residuals of an end show; no slope goes through them.
+    """Estimate the sizes of each time's errors from the residuals of an end; no derivative goes through them.
 
-    What times share or are tied by is no single time's to move: where they contradict, that is an error of the samples.
+    A single time cannot move parameters that times share or that link them. Where times contradict each other, that
+    counts as an error of the samples.
     """
     alone = problem.measured.shape[0] == 1
     calibration = calibration_of(choices, end.point, problem.measured.shape[2])
-    # the slopes are by what stands on the parameters' scales
+    # the slopes are by the parameters on their scales
     prior = priors.rows()
     if choices.calibrated:
         prior = with_scales(prior, priors.calibration, calibration.size)
@@ -113,10 +114,10 @@ def components_at(choices: Choices, numbers: Numbers, problem: Problem, priors: 
 
 
 def weighing_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Priors, end: End) -> Weighing:
-    r"""How the samples are to be weighed by the residuals of an end that the stated noise has led to.
+    r"""The weighting of the samples from the residuals of an end that was found with the stated noise.
 
     `excess` is $[\mathrm{tr}(H^{-1} M) / p]^{1/2}$ with the normal matrix H of the p parameters and the covariance M
-    of its right-hand side by noise of all kinds: as if p independent numbers told of them.
+    of its right-hand side by noise of all kinds, as if p independent numbers determined the parameters.
     **Source:** Ribatet, Cooley & Davison 2012, Stat. Sinica 22, 813 (magnitude adjustment of a composite likelihood).
     """
     sizes = components_at(choices, numbers, problem, priors, end)
@@ -130,7 +131,7 @@ def weighing_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Pr
         scale = jnp.where(typical > 1.0, typical, 1.0)
         weighing = Weighing(scale, jnp.ones_like(scale))
         columns = columns_of(choices, one, known, calibration, jnp.ones_like(priors.inverse_sigma))
-        # the channels' scales first, so that what is left is of the parameters alone
+        # the channels' scales come first, so that the last rows are of the parameters alone
         columns = jnp.concatenate([columns[:, count:], columns[:, :count]], axis=1)
         _, rows, effects = _noise_of(choices, numbers.threshold, one, known, calibration, sizes, weighing, columns)
         whole = triangle(jnp.concatenate([rows, jnp.zeros((rows.shape[1], rows.shape[1]), rows.dtype)]))
@@ -141,9 +142,9 @@ def weighing_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Pr
 
 
 def _noise_of(choices: Choices, threshold, one: Problem, known: Known, calibration, sizes, weighing: Weighing, columns):
-    """Trust in each sample, weighed rows of `columns`, and their normal equations' right-hand sides by each error.
+    """Trust in each sample, weighted rows of `columns`, and their normal equations' right-hand sides by each error.
 
-    Of samples beyond the threshold of the loss those of a direction count as one error, of the influence they have.
+    Samples of a direction beyond the threshold of the loss count as one error, with the influence that they have.
     """
     trust = trusted(choices, threshold, one, known, calibration, weighing).weight
     plain, root = weight_of(one, weighing), jnp.sqrt(trust)
@@ -164,7 +165,7 @@ def _noise_of(choices: Choices, threshold, one: Problem, known: Known, calibrati
 
 
 def _sides(whole, effects):
-    r"""Right-hand sides of rows $T$ that give their normal equations the right-hand sides $T^T y$ of all effects.
+    r"""Right-hand sides $y$ of rows $T$ such that $T^T y$ has the same covariance as all effects together.
 
     **Arguments:** `whole`, rows $T$ as a triangle; `effects` `[effect, column]`. **Returns:** as many as columns.
     """
@@ -172,7 +173,7 @@ def _sides(whole, effects):
     guard = jnp.diag(jnp.where(guard > 0.0, _GUARD * guard, 1.0))
     upper = triangle(jnp.concatenate([whole, guard]))[: whole.shape[1]]
     sides = triangle(jnp.concatenate([effects, jnp.zeros_like(guard)]))[: whole.shape[1]]
-    # the transpose, a lower triangle, from its first row down
+    # solve the transpose, a lower triangle, with rows and columns reversed
     return solve_upper(upper.T[::-1, ::-1], sides.T[::-1])[::-1]
 
 
@@ -187,16 +188,16 @@ def whitening_at(problem: Problem, known: Known, found: Components) -> Whitening
 
 
 def _chi_square(choices: Choices, square, held):
-    """Reduced, of one time: the shared parameters count with their share of each."""
+    """The reduced chi-square of one time, for which each time's share of the shared parameters counts."""
     known = len(choices.own) + len(choices.shared) / held[1]
     return jnp.sum(square) / jnp.maximum(held[0] - known, 1.0)
 
 
 def _widening(choices: Choices, threshold, plain):
-    r"""How much wider than its noise makes it the error of one time is, 1 at least, from its whitened residuals.
+    r"""The factor, 1 at least, by which the loss widens the error of one time, from its whitened residuals.
 
     $[\overline{\psi^2} / \overline{w^2}]^{1/2}\, \overline{w} / \overline{\psi'}$ with the influence
-    $\psi = w z$ of a residual, over those within the threshold: `_noise_of` has the others, and the weights.
+    $\psi = w z$ of a residual. Means are over residuals within the threshold: `_noise_of` has the others and weights.
     **Source:** Huber 1981, Robust Statistics, sec. 7.6.
     """
 
@@ -215,7 +216,7 @@ def _widening(choices: Choices, threshold, plain):
 
 
 def _correlation(one: Problem, value) -> Float[Array, " neighbour"]:
-    """Of whitened residuals with the next wavelength, and with the nearest direction."""
+    """The correlation of whitened residuals with the next wavelength, and with the nearest direction."""
     held = one.weight > 0.0
     beside = held[:, 1:] & held[:, :-1]
     spectral = jnp.sum(jnp.where(beside, value[:, 1:] * value[:, :-1], 0.0)) / jnp.maximum(jnp.sum(beside), 1)
@@ -231,25 +232,26 @@ def _correlation(one: Problem, value) -> Float[Array, " neighbour"]:
 
 
 def _moved(blocks: Blocks):
-    """How much each side moves the parameters of each time and what all times share, which come last."""
+    """The shift of the parameters of each time, then of the shared unknowns, by each right-hand side."""
     mine, shared = solve_chain(blocks)
     return jnp.concatenate([mine, jnp.broadcast_to(shared[None], (mine.shape[0], *shared.shape))], axis=1)
 
 
 def _by_noise(blocks: Blocks, noise, priors: slice, excess, all_excess, prior_error):
-    """The covariance of each time's parameters and what all share by the noise and the priors of all times.
+    """The covariance of each time's parameters and the shared unknowns by the noise and the priors of all times.
 
     **Arguments:** `blocks`, damped; `noise` `[time, row, effect]`, right-hand sides of each time's first rows;
-    `priors`, its rows of priors; `excess` of each time's, `all_excess` of links; `prior_error` of what all share.
+    `priors`, the rows of each time's priors; `excess`, errors of these rows; `all_excess`, that of links between times;
+    `prior_error`, errors of the shared unknowns' priors.
     """
     times, effects, count = noise.shape[0], noise.shape[1], blocks.own.shape[2]
     told = priors.stop - priors.start
     sides, kind = effects + told + count, noise.dtype
-    # rows that only guard have no error
+    # rows that only damp have no error
     error = jnp.pad(prior_error, (0, blocks.prior.shape[0] - prior_error.size))
 
     def add(total, source):
-        """What the errors of one time more move; those of what is shared come last."""
+        """Add the shifts by the errors of one more time; the errors of the shared unknowns come last."""
         here = (jnp.arange(times) == source)[:, None, None]
         told_by, ties = (jnp.where(here, jnp.eye(size, dtype=kind)[None], 0.0) for size in (told, count))
         right = jnp.zeros((times, blocks.own.shape[1], sides), kind)
@@ -266,7 +268,7 @@ def _by_noise(blocks: Blocks, noise, priors: slice, excess, all_excess, prior_er
 
 
 def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Priors, found: End) -> Estimate:
-    """Values, covariances and gains where a search has ended, parameters in the order own, shared."""
+    """Values, covariances and gains at the end of a search, parameters in the order own, shared."""
     end, known = found.point, found.known
     names, count, own_count = choices.names, len(choices.names), len(choices.own)
     times, directions, channels = problem.measured.shape
@@ -319,7 +321,7 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     exact = 0.0 if priors.calibration is None else priors.calibration
     prior = with_scales(shared_tight, exact, scales)
     link = unit[None, :own_count] * priors.step * all_excess
-    # of a prior, whose weight has the excess too
+    # error of the shared unknowns' priors, whose weights have the excess too
     prior_error = jnp.concatenate([jnp.full(len(shared_tight), all_excess), jnp.ones(scales, own.dtype)])
     blocks = Blocks(
         own, common, right, prior, jnp.zeros((prior.shape[0], side), own.dtype), -link, link,
@@ -335,13 +337,13 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     marginal = marginal_rows(blocks, size)
     every = jnp.ones(marginal.shape[2], own.dtype)
     spreads = jax.vmap(lambda rows: covariance(rows, every)[0])(marginal)
-    # the channels' scales first, so that what is left is of the parameters alone
+    # the channels' scales come first, so that the last rows are of the parameters alone
     order = jnp.concatenate([marginal[..., count:], marginal[..., :count]], axis=2)
     triangles = jax.vmap(triangle)(order)[:, scales:, scales:]
     safe = damped(blocks, size)
     rows = slice(own.shape[1] - own_tight.shape[1], own.shape[1])
     total = _by_noise(safe, noise, rows, excess, all_excess, prior_error)
-    # what is not determined has no sigma
+    # undetermined parameters have no finite sigma
     unknown = jnp.isinf(jnp.diagonal(spreads, axis1=1, axis2=2))
     total = jnp.where(unknown[:, :, None] | unknown[:, None], spreads, total)
     shift = _moved(safe)[:, :count] * spread[..., None]
@@ -357,7 +359,7 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     weighed = jax.vmap(lambda own: jax.scipy.linalg.block_diag(own, shared_tight))(own_tight)
     finite = jnp.where(jnp.isfinite(spreads), spreads, 0.0)[:, :count, :count]
     known_by_data = 1.0 - jnp.einsum("tpq,trp,trq->tp", finite, weighed, weighed)
-    # where a prior ties parameters together only their sum means something
+    # where a prior ties parameters together, only the sum over them has a meaning
     freedom = jnp.clip(jnp.where(jnp.isfinite(deviations[:, :count]), known_by_data, 0.0).sum(axis=1), 0.0, count)
     scales_sigma = jnp.sqrt(jnp.diagonal(total[0])[count:]) if choices.calibrated else jnp.zeros(channels, own.dtype)
     return Estimate(
@@ -386,5 +388,5 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
 
 
 def _with_beam(radiance, samples: int):
-    """Samples of the sky with empty ones of the beam."""
+    """Append empty samples of the beam to those of the sky."""
     return jnp.pad(radiance, ((0, 0), (0, samples - radiance.shape[1])))

@@ -1,4 +1,4 @@
-"""The instrument's line shape, found in the solar lines of the measurement itself."""
+"""Estimate the instrument's line shape from the solar lines of the measurement itself."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from ...light import extraterrestrial_irradiance
 from ..samples import Sky
 
 
-# nm, between the ultraviolet edge and the first strong water band
+# range in nm, between the ultraviolet edge and the first strong water band
 _RANGE = (380.0, 680.0)
 _COARSEST_STEP = 2.5
 _CANDIDATES = np.arange(0.5, 15.01, 0.25)
@@ -15,11 +15,11 @@ _CANDIDATES = np.arange(0.5, 15.01, 0.25)
 def estimate_fwhm(sky: Sky) -> float:
     r"""Full width at half maximum (nm) of the Gaussian line shape that best explains the sun's lines.
 
-    Sky light over sunlight is smooth in wavelength; the width is the one for which the second difference of
+    The ratio of sky light to sunlight is smooth in wavelength. The width is the one for which the second difference of
     $\ln(L / E_0)$ of the mean spectrum is smallest.
 
     **Arguments:** `sky`, sampled every 2.5 nm or finer somewhere in 380-680 nm.
-    **Returns:** nm, or NaN where the sampling is too coarse to tell.
+    **Returns:** nm, or NaN if the sampling is too coarse.
     **Valid:** widths of 0.5-15 nm. **Source:** Fraunhofer line matching, as in DOAS calibration (Platt & Stutz 2008).
     """
     wavelength = sky.wavelength_nm

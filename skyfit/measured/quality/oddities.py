@@ -1,4 +1,4 @@
-"""What a careful reader asks of a measured sky before any fit: can this be one?"""
+"""Checks of a measured sky before any fit: whether it can be a sky, and what is odd about it."""
 
 from typing import NamedTuple
 
@@ -13,17 +13,19 @@ from .placed_sun import cosine_from_sun, misplaced_sun
 from .plausibility import at_time
 
 
-# of the sun's irradiance per steradian. A white ground under the sky returns E/pi at most, 0.32, and air and cloud
-# over it little more: 0.4 is doubted. 1 is no sky beyond the aureole; there cirrus has come to some 70
+# radiance over the sun's irradiance, per steradian. A white ground under the sky returns E/pi at most, 0.32, and air
+# and cloud over it little more: 0.4 is doubted. 1 is no sky beyond the aureole; in the aureole cirrus has reached some
+# 70
 _BRIGHT, _BRIGHTEST, _BRIGHTEST_AUREOLE = 0.4, 1.0, 100.0
 _AUREOLE = np.radians(15.0)
-# the sun's disc itself: 1 / 6.8e-5 sr, seen through the air and spread over the field of view
+# limit for the sun's disc itself: 1 / 6.8e-5 sr, seen through the air and spread over the field of view
 _DISC = 10.0
-# of what air alone scatters once. Partial eclipses and smoke go to a tenth; 0.01 is night or a wrong unit
+# radiance over the single scattering of air alone. Partial eclipses and smoke reach a tenth; 0.01 is night or a wrong
+# unit
 _DARK, _DARKEST = 0.3, 0.01
-# relative spread over the directions below which a sky has no pattern; the flattest overcast has 0.3
+# relative spread over the directions below which a sky has no pattern; the flattest overcast sky has 0.3
 _FLAT = 0.03
-# a station at 0.325 m is one at 325 m whose altitude is in km, more often than not
+# altitudes below this may be in km: a station at 0.325 m is more often than not one at 325 m
 _HIGHEST_KM = 9.0
 # pressure against altitude: weather moves it by 5 % at most
 _WEATHER = 0.08
@@ -31,19 +33,19 @@ _PLATEAU, _PLATEAU_SHARE = 5, 0.01
 
 
 def examine(sky: Sky, used: Bool[np.ndarray, "time direction wavelength"]) -> tuple[str, ...]:
-    """What is odd about a measured sky before any fit: sentences for the user.
+    """Find what is odd about a measured sky before any fit, in sentences for the user.
 
     **Arguments:** `sky`; `used`, the samples that will be fitted.
-    **Returns:** sentences, none for a sky in order: brighter or darker than skies are, the sun not where the sky is
-    bright, no pattern, one sample many times, altitude or pressure in another unit, too few directions or
+    **Returns:** sentences, none for a sky without oddities: brighter or darker than skies are, the sun not where the
+    sky is bright, no pattern, one sample many times, altitude or pressure in another unit, too few directions or
     wavelengths for error bars that stand alone.
-    **Errors:** `ValueError` where sunlight makes no sky of any time: all beyond any sky, or below a hundredth of what
-    air scatters. Where it is so at some of the times, a sentence says at which.
+    **Errors:** `ValueError` if no time can be a sky in sunlight: each is brighter than any sky, or darker than a
+    hundredth of the light that air scatters. If only some times are, sentences name them.
     """
     inside = (sky.wavelength_nm >= SPECTRUM_NM[0]) & (sky.wavelength_nm <= SPECTRUM_NM[1])
     used = used & inside
     found, impossible = [*_station(sky), *_repeated(sky, used)], []
-    # a sun below the horizon, or no samples, is for the fit to refuse
+    # the fit refuses times with the sun below the horizon or without samples
     times = [time for time in range(len(sky.time)) if used[time].any() and sky.sun_at(time)[0] < 0.5 * np.pi]
     for time in times:
         light = _light(sky, used, time)
@@ -88,7 +90,7 @@ def _repeated(sky: Sky, used):
 
 
 class _Light(NamedTuple):
-    """How bright a sky is: medians over the samples, and how many of them no sky reaches."""
+    """How bright a sky is: medians over the samples, and the number of samples brighter than any sky."""
 
     share: float  # of the sun's irradiance, sr^-1, beyond the aureole if there are samples
     limit: float
@@ -134,7 +136,7 @@ def _odd(light: _Light):
 
 
 def _air(sky: Sky, time: int):
-    r"""What air at sea level scatters once over a flat Earth, per irradiance, sr^-1, `[direction, wavelength]`.
+    r"""Single scattering of air at sea level over a flat Earth, per irradiance, sr^-1, `[direction, wavelength]`.
 
     $\frac{3}{16\pi} (1 + \cos^2\gamma) \frac{\tau}{\mu} e^{-\tau/\mu_s} \frac{1 - e^{-x}}{x}$,
     $x = \tau (1/\mu - 1/\mu_s)$ (Chandrasekhar 1960, sec. 9).
@@ -168,7 +170,7 @@ def _pattern(sky: Sky, used, time: int):
 
 
 def _extent(sky: Sky, used, time: int):
-    """Whether the error bars stand alone, without what is held fixed."""
+    """Yield notes if the directions or wavelengths are too few for error bars that do not rely on fixed values."""
     seen = used[time].any(axis=1)
     angles = np.round(np.stack([sky.view_zenith[time], sky.view_azimuth[time] % (2.0 * np.pi)], axis=1)[seen], 6)
     if len(np.unique(angles, axis=0)) < 3 or np.ptp(_angle_from_sun(sky, time)[seen]) < np.radians(10.0):
@@ -186,5 +188,5 @@ def _cosine(sky: Sky, time: int):
 
 
 def _angle_from_sun(sky: Sky, time: int):
-    """Radians, `[direction]`."""
+    """The angle from the sun in radians, `[direction]`."""
     return np.arccos(np.clip(_cosine(sky, time), -1.0, 1.0))

@@ -1,4 +1,4 @@
-"""Whether the sky is brightest where the file says that the sun stands."""
+"""Check whether the sky is brightest where the file places the sun."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -6,16 +6,17 @@ from jaxtyping import Bool, Float
 from ..samples import Sky
 
 
-# a pattern of fewer directions tells no place of the sun
+# a pattern of fewer directions does not determine the place of the sun
 _FEWEST = 6
-# correlations with the pattern of a clear sky: skies to optical depth 4, suns to zenith 88, gave 0.55 and more
-# where the sun is where it is said to be
+# correlations with the pattern of a clear sky: skies up to optical depth 4 with suns down to zenith angle 88 gave 0.55
+# and more if the sun was at its stated place
 _UNLIKELY, _CONVINCING = 0.5, 0.85
-# the zenith angles are doubted where turning them over leaves this share of what is unexplained
+# least correlation with zenith angles turned into elevations, and largest share of the unexplained rest that turning
+# may leave: only then the zenith angles are doubted
 _TURNED, _SHARE_LEFT = 0.93, 0.35
-# degrees: a sun this far off is told; scans of fewer zenith angles do not show which way they were counted
+# degrees: a sun this far off is reported; scans over a smaller range of zenith angles do not show how they were counted
 _FAR, _WIDE = 20.0, 30.0
-# variance across a vertical plane by that along it
+# largest variance of views across a vertical plane over that along it, for views that count as in the plane
 _PLANE = 0.02
 _STEP = 10
 # CIE S 011, type 12 (clear, low turbidity)
@@ -23,15 +24,16 @@ _GRADATION, _LOBE, _LOBE_FALL, _SQUARE = -0.32, 10.0, -3.0, 0.45
 
 
 def misplaced_sun(sky: Sky, used: Bool[np.ndarray, "time direction wavelength"], time: int) -> str:
-    r"""A sentence where the brightness of the sky contradicts the stated angles, else "".
+    r"""Return a sentence if the brightness of the sky contradicts the stated angles, else "".
 
-    The mean of $\ln L$ over the wavelengths is compared with the clear sky of CIE S 011 in two ways. Of the azimuth:
-    with the scattering part alone, what grows as a constant, $\theta$ and $\theta^2$ taken out of both, so that
-    neither haze nor a low sun matters. Of the zenith angles: with the whole pattern, angles as stated or turned over.
+    The mean of $\ln L$ over the wavelengths is compared with the clear sky of CIE S 011 in two ways. For the azimuth it
+    is compared with the scattering part alone. A constant, $\theta$ and $\theta^2$ are taken out of both, so that
+    neither haze nor a low sun matters. For the zenith angles it is compared with the whole pattern, with angles as
+    stated or turned over.
 
     **Arguments:** `sky`; `used`, the samples that count; `time`, its index.
     **Returns:** a sentence that names the angle between the stated sun and the apparent one and the likely cause.
-    **Valid:** six directions or more, of the azimuth not in one vertical plane; others say nothing.
+    **Valid:** six directions or more, for the azimuth not in one vertical plane; else there is no sentence.
     """
     seen = _brightness(sky, used, time)
     if seen is None:
@@ -80,7 +82,7 @@ def _turned_zenith(bright, zenith, azimuth, sun_zenith, sun_azimuth, stated) -> 
     left = 1.0 - _correlation(_clear(zenith, azimuth, sun_zenith, sun_azimuth), bright)
     if scores[cause] < _TURNED or 1.0 - scores[cause] > _SHARE_LEFT * left:
         return ""
-    # thick haze darkens the horizon, but it leaves the scattering part where it was
+    # thick haze darkens the horizon, but it does not move the scattering part
     rest = _without_zenith(causes[cause][0])
     if _correlation(rest(_lobe(*causes[cause])), rest(bright)) < stated:
         return ""
@@ -88,7 +90,7 @@ def _turned_zenith(bright, zenith, azimuth, sun_zenith, sun_azimuth, stated) -> 
 
 
 def _in_one_plane(zenith, azimuth) -> bool:
-    """Whether all views lie in one vertical plane, which holds no azimuth of the sun."""
+    """Whether all views lie in one vertical plane, which does not determine the azimuth of the sun."""
     across = np.cov(np.stack([np.sin(zenith) * np.sin(azimuth), np.sin(zenith) * np.cos(azimuth)]))
     small, large = np.linalg.eigvalsh(across)
     return bool(small <= _PLANE * large)
@@ -102,13 +104,13 @@ def _brightness(sky: Sky, used, time: int):
     if at.shape[0] < _FEWEST:
         return None
     logs = np.where(at, np.log(np.where(at, sky.radiance[time][directions][:, wavelengths], 1.0)), 0.0)
-    # of each wavelength its mean first, so that a gap in one direction does not pass for darkness
+    # subtract the mean of each wavelength first, so that a gap in one direction does not pass for darkness
     logs = np.where(at, logs - logs.sum(axis=0) / at.sum(axis=0), 0.0)
     return logs.sum(axis=1) / at.sum(axis=1), sky.view_zenith[time, directions], sky.view_azimuth[time, directions]
 
 
 def _without_zenith(zenith):
-    """The function that takes a constant, the zenith angle and its square out of a pattern, `[..., direction]`."""
+    """A function that removes a constant, the zenith angle and its square from a pattern, `[..., direction]`."""
     vectors, sizes, _ = np.linalg.svd(np.stack([np.ones_like(zenith), zenith, zenith**2], axis=1), full_matrices=False)
     known = vectors[:, sizes > 1e-6 * sizes[0]]
     return lambda pattern: pattern - pattern @ known @ known.T
@@ -117,14 +119,14 @@ def _without_zenith(zenith):
 def _correlation(pattern, bright) -> Float[np.ndarray, "..."]:
     pattern, bright = pattern - pattern.mean(axis=-1, keepdims=True), bright - bright.mean()
     size = np.sqrt((pattern**2).sum(axis=-1) * (bright**2).sum())
-    # rounding is no pattern
+    # a pattern of the size of rounding correlates with nothing
     return np.where(size > 1e-9, pattern @ bright / np.maximum(size, 1e-9), 0.0)
 
 
 def cosine_from_sun(zenith, azimuth, sun_zenith, sun_azimuth):
-    """Of the angle from the sun. **Arguments:** radians, broadcastable.
+    """The cosine of the angle from the sun. **Arguments:** radians, broadcastable.
 
-    On the host: under JAX each file's number of directions would be compiled anew.
+    It runs on the host: under JAX each file's number of directions would need a new compilation.
     """
     aside = np.sin(zenith) * np.sin(sun_zenith) * np.cos(azimuth - sun_azimuth)
     return np.cos(zenith) * np.cos(sun_zenith) + aside

@@ -1,4 +1,4 @@
-"""Whether the model has explained a sky: what a fit leaves to doubt."""
+"""Check whether the model has explained a sky."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -6,10 +6,10 @@ from jaxtyping import Bool, Float
 from ..samples import Sky, time_names
 
 
-# root mean square residual by the mean radiance; the eight scans of 2013-05-27 have 0.06 to 0.09
+# largest root mean square residual over the mean radiance; the eight scans of 2013-05-27 have 0.06 to 0.09
 POOR = 0.25
-# and by sigma: of a file that states it, and of the noise that is taken where it does not, by which those scans have
-# 0.9 to 1.7 (`NoiseModel`)
+# largest root mean square residual over sigma, if a file states sigma, and if the noise is assumed (`NoiseModel`). With
+# the assumed noise those scans have 0.9 to 1.7
 _LARGE_STATED, _LARGE_ASSUMED = 2.0, 3.0
 
 
@@ -19,12 +19,12 @@ def doubts(
     used: Bool[np.ndarray, "time direction wavelength"],
     reduced_chi_square: Float[np.ndarray, " time"],
 ) -> tuple[str, ...]:
-    """What a fit leaves to doubt, in sentences: residuals far beyond the noise or beyond any use.
+    """Doubts about a fit, in sentences: residuals far beyond the noise or beyond any use.
 
     **Arguments:** `sky`; `model`, the fitted radiance; `used`, the samples that the fit was to explain, without
     outliers; `reduced_chi_square` of their residuals without robust weights.
-    **Returns:** a sentence for each time that is poor (`poor_fit`) or whose residuals are large: 2 sigma of a file that
-    states it, 3 of the noise that is taken where it does not.
+    **Returns:** a sentence for each time that is poor (`poor_fit`) or whose residuals are large: beyond 2 sigma if the
+    file states sigma, beyond 3 if the noise is assumed.
     """
     found = []
     shares, poor = _share(sky, model, used), poor_fit(sky, model, used)
@@ -38,7 +38,7 @@ def doubts(
 
 
 def beyond_sigma(sky: Sky, reduced_chi_square: float) -> tuple[str, ...]:
-    """A sentence where the residuals of a time are far beyond the noise, as in `doubts`, else nothing."""
+    """A sentence if the residuals of a time are far beyond the noise, as in `doubts`, else none."""
     ratio = np.sqrt(reduced_chi_square)
     if ratio <= (_LARGE_ASSUMED if sky.sigma is None else _LARGE_STATED):
         return ()
@@ -55,13 +55,13 @@ def poor_fit(
 ) -> Bool[np.ndarray, " time"]:
     """Whether the root mean square of the residuals exceeds a quarter of the mean radiance, or is not finite.
 
-    **Arguments:** as `doubts`. **Returns:** `[time]`; a fit of which this is true is no success.
+    **Arguments:** as in `doubts`. **Returns:** `[time]`; a fit for which this is true is no success.
     """
     return ~(_share(sky, model, used) <= POOR)
 
 
 def _share(sky: Sky, model, used):
-    """Root mean square residual over mean radiance, `[time]`, infinite where there is no light."""
+    """Root mean square residual over mean radiance, `[time]`, infinite if there is no light."""
     count = np.maximum(used.sum(axis=(1, 2)), 1)
     radiance = np.where(used, sky.radiance, 0.0)
     error = np.sqrt((np.where(used, model - radiance, 0.0) ** 2).sum(axis=(1, 2)) / count)
@@ -70,5 +70,5 @@ def _share(sky: Sky, model, used):
 
 
 def at_time(sky: Sky, time: int) -> str:
-    """How a sentence about one time begins: with its name, where there are several."""
+    """The beginning of a sentence about one time: its name, if there are several times."""
     return "" if len(sky.time) == 1 else f"{time_names(sky)[time]}: "

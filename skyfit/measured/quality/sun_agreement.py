@@ -1,4 +1,4 @@
-"""Whether the sun that a file states stands where its time and place put it."""
+"""Check whether the sun that a file states agrees with its time and place."""
 
 import numpy as np
 from jaxtyping import Float, Shaped
@@ -7,9 +7,10 @@ from ..solar_position import solar_position
 from .placed_sun import cosine_from_sun
 
 
-# degrees. Instruments are turned by some, and mounts lean by less; an hour moves the sun by 7 and more
+# tolerances in degrees. Instruments are turned by several degrees, and mounts lean by less; an hour moves the sun by 7
+# and more
 _AZIMUTH_SLACK, _ZENITH_SLACK = 10.0, 3.0
-# a cause is named where it brings the two this near
+# a cause is named if it brings the two suns this near, degrees
 _NEAR = 2.0
 _CLOCKS = [hours for hours in range(-12, 15) if hours]
 
@@ -22,10 +23,10 @@ def sun_agreement(
     longitude: float,
     turned: bool = False,
 ) -> str:
-    """A sentence where the stated sun is not that of time and place, "" where they agree.
+    """Return a sentence if the stated sun is not that of time and place, "" if they agree.
 
     **Arguments:** stated `zenith` and `azimuth`, degrees; `time` UTC; `latitude`, `longitude`, degrees; `turned`:
-    azimuths are in the instrument's frame, of which the place says nothing.
+    azimuths are in the instrument's frame, which the place does not determine.
     **Returns:** the largest angle between the two, and what would explain it: another clock, latitude and longitude
     exchanged, elevations in place of zenith angles, azimuths from south or counter-clockwise.
     **Valid:** 10 degrees apart, or 3 in zenith angle, count as agreement: less is refraction, or a leaning mount.

@@ -1,4 +1,4 @@
-"""AERONET's raw sky scans as text (Version 3: almucantar, principal plane, hybrid), with optical depths beside them."""
+"""Read AERONET's raw sky scans (Version 3 text: almucantar, principal plane, hybrid), with optical depths beside."""
 
 import re
 from pathlib import Path
@@ -15,10 +15,10 @@ from .scans import ALMUCANTAR, azimuth_of_hybrid, HYBRID, PRINCIPAL_PLANE, serie
 from .screening import screened
 
 
-# of the radiances, where the names of older files do not say it
+# unit of the radiances if the names of older files do not state it
 _USUAL_UNITS = "uW/cm^2/sr/nm"
 _NEEDED = ("date", "time", "exact", "sun_zenith", "kind")
-# degrees
+# largest difference of equal angles, degrees
 _SAME_ANGLE = 0.5
 _KINDS = {
     "almucantar": ALMUCANTAR, "alm": ALMUCANTAR, "principal_plane": PRINCIPAL_PLANE, "ppl": PRINCIPAL_PLANE,
@@ -31,20 +31,20 @@ _UNITS = re.compile(r"\(([^()]*(?:\([^()]*\))?[^()]*)\)\s*$")
 
 
 def read_scan(path: Path, station: dict[str, float]) -> Sky:
-    """A file of AERONET's raw sky scans as a `Sky`.
+    """Read a file of AERONET's raw sky scans as a `Sky`.
 
     **Arguments**
 
-    - `path`: Version 3 text: lines of a head, one of names, one of angles under the last names, then a row for each
-      wavelength of each scan with its own time and sun's zenith angle; radiance in uW cm-2 sr-1 nm-1, -999 missing
-    - `station`: numbers that stand instead of the file's own, by name
+    - `path`: Version 3 text: lines of a head, a line of names, a line of angles under the last names, then a row for
+      each wavelength of each scan with its own time and sun's zenith angle; radiance in uW cm-2 sr-1 nm-1, -999 missing
+    - `station`: numbers that replace the file's own, by name
 
-    **Returns** a `Sky` of the scans in time, each wavelength where it looked. An optical-depth file (`.lev15`,
-    `.lev20`, `.lev10`) of the same site in the same folder is taken along, the best level first.
+    **Returns** a `Sky` of the scans in time, each wavelength with its own views. An optical-depth file (`.lev15`,
+    `.lev20`, `.lev10`) of the same site in the same folder is read too, that of the best level.
 
-    **Valid** scans in the almucantar and the principal plane, and hybrid ones, whose angles are azimuths from the sun
-    or scattering angles, as their name and the file's own scattering angles tell; others, and a file of several sites
-    or instruments, are a `ValueError`.
+    **Valid** scans in the almucantar and the principal plane, and hybrid ones. The angles of a hybrid scan are azimuths
+    from the sun or scattering angles; their name and the file's own scattering angles show which. Other scans, and a
+    file of several sites, are a `ValueError`.
     """
     table = table_of(path, "Solar_Zenith_Angle")
     places = {what: table.place(what) for what in COLUMNS}
@@ -129,8 +129,7 @@ def _sweep(table, row, cells, places, columns, degrees, factor, by_scattering=Fa
 
 
 def _radiances(table: Table) -> tuple[dict[int, float], str, int, bool]:
-    """The angle of each column of radiance, their units, how many of them have no angle, and whether their name says
-    that the angles are from the sun."""
+    """The angle of each column of radiance, their units, how many have none, and whether they are scattering angles."""
     angles, units, group, unnamed, scattering = {}, _USUAL_UNITS, "", 0, False
     for place, (name, under) in enumerate(zip(table.names, table.below, strict=True)):
         label = under
@@ -155,7 +154,7 @@ def _radiances(table: Table) -> tuple[dict[int, float], str, int, bool]:
 
 
 def _other_groups(table: Table) -> tuple[dict[float, int], list[str]]:
-    """The columns of scattering angles by the angle they are of, and the names of what nothing here understands."""
+    """The columns of scattering angles by the angle in their name, and the names of columns that are not understood."""
     known = {name for names in COLUMNS.values() for name in names} | {"day_of_year", "last_processing_date"}
     stated, others, group = {}, [], ""
     for place, (name, under) in enumerate(zip(table.names, table.below, strict=True)):
@@ -173,7 +172,7 @@ def _other_groups(table: Table) -> tuple[dict[float, int], list[str]]:
 
 
 def _misfit(table: Table, sweeps: list[Sweep], degrees, stated: dict[float, int]) -> float:
-    """How far the file's scattering angles are at most from those of the views that its scans are taken to be of."""
+    """The largest difference between the file's scattering angles and those of the views assumed, degrees."""
     worst = 0.0
     columns = [(i, stated[angle]) for i, angle in enumerate(degrees.tolist()) if angle in stated]
     for sweep, (row, cells) in zip(sweeps, table.rows, strict=True):

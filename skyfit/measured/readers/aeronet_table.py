@@ -9,9 +9,9 @@ import numpy as np
 from .header import plain
 
 
-# what AERONET writes where it has no number, or rounds to it
+# numbers up to this are missing: AERONET writes -999, or a number that rounds to it
 _MISSING = -998.0
-# what columns are called, in the spelling of `plain`
+# names of the columns, in the spelling of `plain`
 COLUMNS = {
     "site": ("aeronet_site", "aeronet_site_name", "site"),
     "date": ("date_dd_mm_yyyy", "date_dd_mm_yy", "date"),
@@ -29,7 +29,7 @@ COLUMNS = {
 
 @dataclass
 class Table:
-    """The rows of a file by AERONET: names in lower case with _ for all between, cells as they stand."""
+    """The rows of a file by AERONET, with names and cells as in the file."""
 
     name: str
     head: list[str]
@@ -43,7 +43,7 @@ class Table:
         return next((known.index(name) for name in COLUMNS[what] if name in known), None)
 
     def number(self, row: int, cells: list[str], place: int) -> float:
-        """A cell as a number, NaN for what is missing."""
+        """A cell as a number, NaN if it is missing."""
         try:
             value = float(cells[place])
         except ValueError:
@@ -101,7 +101,7 @@ def moment_in(table: Table, row: int, cells: list[str], date: int, time: int) ->
 
 
 def only(table: Table, place: int | None, what: str) -> str:
-    """The text that stands in a column of all rows, "" without such a column."""
+    """The one text of a column, which all rows share, "" without such a column."""
     if place is None:
         return ""
     found = list(dict.fromkeys(cells[place] for _, cells in table.rows))

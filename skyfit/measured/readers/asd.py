@@ -1,4 +1,4 @@
-"""A folder of ASD spectrometer text exports: one file is one direction."""
+"""Read a folder of ASD spectrometer text exports, in which one file is one direction."""
 
 import re
 from datetime import datetime, timedelta
@@ -23,7 +23,7 @@ _EARLIEST, _LATEST = -12.0, 14.0
 
 
 def read_asd(path: Path, station: dict[str, float], utc_offset: float | int | None) -> Sky:
-    """A folder of ASD text exports (or a folder of such folders) as a `Sky`.
+    """Read a folder of ASD text exports (or a folder of such folders) as a `Sky`.
 
     **Arguments**
 
@@ -97,7 +97,7 @@ def read_asd(path: Path, station: dict[str, float], utc_offset: float | int | No
 
 
 def _label(file):
-    """(local time, index, (azimuth, elevation), file name) as the file name says."""
+    """(local time, index, (azimuth, elevation), file name) from the file name."""
     match = _NAME.fullmatch(file)
     try:
         if match is None:

@@ -10,10 +10,10 @@ from .tidy import read_numbers
 
 
 def read_response(path: str | os.PathLike) -> Response:
-    """The channels of a camera or photometer from a CSV.
+    """Read the channels of a camera or photometer from a CSV.
 
-    **Arguments:** `path`: the first column is wavelength_nm, each other one a channel's weights: what its value is made
-    of per W m^-2 sr^-1 nm^-1 and nm.
+    **Arguments:** `path`: the first column is wavelength_nm, each other column a channel's weights: its value per
+    W m^-2 sr^-1 nm^-1 and nm.
     **Returns:** a `Response` of the channels in the order of the columns, with their names. Weights are multiplied by
     the steps of the wavelengths (trapezoids), so that a sum over them is an integral.
     **Valid:** 300-1100 nm, increasing; anything else is a one-line `ValueError` with the file's name.

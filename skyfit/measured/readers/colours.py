@@ -1,4 +1,4 @@
-"""Luminance, alone or with chromaticity, as the channels that it is of: Y, or X, Y and Z."""
+"""Convert luminance, alone or with chromaticity, to channels: Y, or X, Y and Z."""
 
 from collections.abc import Iterable
 
@@ -16,7 +16,7 @@ _X, _Y = ((axis, f"cie_{axis}", f"chromaticity_{axis}", f"{axis}_chromaticity") 
 
 
 def colour_names(names: Iterable[str]) -> tuple[str, tuple[str, str] | None] | None:
-    """What a file calls its luminance, and its x and y; None for these without both, None for no luminance."""
+    """The file's names of luminance, and of x and y, None for these unless both are there; None without luminance."""
     known = {name.lower(): name for name in names}
     light = next((known[name] for name in LUMINANCES if name in known), None)
     if light is None:
@@ -28,7 +28,7 @@ def colour_names(names: Iterable[str]) -> tuple[str, tuple[str, str] | None] | N
 def tristimulus(
     luminance: Float[np.ndarray, "*samples"], x: Float[np.ndarray, "*samples"], y: Float[np.ndarray, "*samples"]
 ) -> tuple[Float[np.ndarray, "*samples 3"], list[str]]:
-    """X, Y and Z, in the unit of the luminance, and a note where x and y are of no colour.
+    """X, Y and Z, in the unit of the luminance, and a note if some x and y are of no colour.
 
     $X = Y x / y$, $Z = Y (1 - x - y) / y$ (CIE 15:2004, section 7).
 
@@ -52,12 +52,12 @@ def channels_of(coloured: bool) -> Response:
 def coloured_rows(
     names: tuple[str, tuple[str, str] | None], number: dict[str, np.ndarray], units: str | None
 ) -> tuple[dict[str, np.ndarray], Response, list[str]]:
-    """The columns of a table of luminance as those of its channels, all rows of one after all rows of another.
+    """Convert the columns of a table of luminance to those of its channels, all rows of one channel after the other.
 
     **Arguments:** `number`: columns by name, `[row]`, those of `names` among them; `units` of the luminance, cd m-2 if
     None.
-    **Returns:** the columns `[channel row]` with `wavelength`, the channels' mean ones, and `radiance` and `sigma` in
-    cd m-2; the channels; notes.
+    **Returns:** the columns `[channel row]` with `wavelength`, the channels' mean wavelengths, and `radiance` and
+    `sigma` in cd m-2; the channels; notes.
     **Errors:** `ValueError` for other units than those of luminance, and for more than one wavelength.
     """
     light, colour = names
@@ -82,7 +82,7 @@ def coloured_rows(
 
 
 def spread_sigma(sigma: Float[np.ndarray, "*samples"], values: np.ndarray) -> Float[np.ndarray, "*samples channel"]:
-    """The standard deviation of luminance as that of each channel `values`, which has the chromaticity's exactly."""
+    """The standard deviation of each channel in `values` from that of luminance, with an exact chromaticity."""
     if values.shape[-1] == 1:
         return sigma[..., None]
     luminance = values[..., 1]
@@ -91,7 +91,7 @@ def spread_sigma(sigma: Float[np.ndarray, "*samples"], values: np.ndarray) -> Fl
 
 
 def luminance_scale(units: str | None) -> tuple[float, list[str]]:
-    """The factor of units to cd m-2, 1 if none are told, and a note where it is another."""
+    """The factor of units to cd m-2, 1 if none are stated, and a note if it is not 1."""
     factor = 1.0 if units is None else luminance_factor(units)
     if factor is None:
         raise ValueError(f"expected units {LUMINANCE} of `luminance`, found {units!r}")
@@ -99,10 +99,10 @@ def luminance_scale(units: str | None) -> tuple[float, list[str]]:
 
 
 def coloured_dataset(data):
-    """A dataset of `luminance` `[time, direction]`, alone or with x and y, as one of `radiance` in its channels.
+    """Convert a dataset of `luminance` `[time, direction]`, alone or with x and y, to one of `radiance` in channels.
 
-    **Returns:** the dataset, as it is where it has a `radiance` or no luminance, and notes.
-    **Errors:** `ValueError` where the luminance has other units, or none.
+    **Returns:** the dataset, unchanged if it has a `radiance` or no luminance, and notes.
+    **Errors:** `ValueError` if the luminance has other units, or none.
     """
     names = None if "radiance" in data else colour_names(map(str, data.variables))
     if names is None:
@@ -122,7 +122,7 @@ def coloured_dataset(data):
         if "wavelength" not in variable.dims:
             variable = variable.expand_dims(wavelength=label)
             variable.encoding = data[light].encoding
-        # its own unit is converted, and said, with that of every radiance
+        # its unit is converted, with a note, later, like that of every radiance
         return rest.assign(radiance=variable).assign_coords(wavelength=("wavelength", label, {"units": "nm"})), []
     columns = [np.broadcast_to(part.values.astype(float), variable.shape) for part in _alike(data, variable, colour)]
     luminance = np.where(outside("", variable), np.nan, variable.values.astype(float)) * factor
@@ -143,7 +143,7 @@ def coloured_dataset(data):
 
 
 def _alike(data, variable, names):
-    """Variables over the dimensions of another one, in its order."""
+    """Broadcast variables over the dimensions of another one, in its order."""
     for name in names:
         one = data[name].drop_vars(names, errors="ignore")
         yield one.broadcast_like(variable).transpose(*variable.dims)

@@ -1,4 +1,4 @@
-"""What lies in a NetCDF file, before anything is asked of it."""
+"""Load a NetCDF file into memory."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from ...extras import require
 
 
 def load_dataset(path: Path):
-    """All of a NetCDF file in memory, as an `xarray.Dataset`; a one-line `ValueError` where it is none or damaged."""
+    """All of a NetCDF file in memory, as an `xarray.Dataset`; a one-line `ValueError` if it is no NetCDF or damaged."""
     require("xarray", "h5netcdf", "h5py")
     import xarray
 
@@ -28,7 +28,7 @@ def load_dataset(path: Path):
 
 
 def _probe(stream):
-    """Fail on a damaged HDF5 file, where h5netcdf would fail and then again when collected."""
+    """Fail on a damaged HDF5 file; h5netcdf would fail too, and then again when it is garbage-collected."""
     import h5py
 
     with h5py.File(stream, "r") as file:

@@ -1,4 +1,4 @@
-"""What a file says of its own samples: flags and valid ranges, by the CF conventions, and columns of flags."""
+"""Flags and valid ranges of a file's samples, by the CF conventions, and columns of flags."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -9,21 +9,21 @@ from jaxtyping import Bool
 from .header import plain
 
 
-# what files call flags that no attribute tells
+# names of flags that no attribute marks as such
 FLAG_NAMES = frozenset(
     "quality_flag quality_flags quality flag flags qc qc_flag qc_flags radiance_qc radiance_flag".split()
 )
-# words of a meaning that is no reason against a sample, unless one of the others is beside them
+# words of a meaning that is no reason against a sample, unless one of `_NOT` is beside them
 _GOOD = frozenset(
     "good ok okay valid nominal clear pass passed normal best usable accepted acceptable fine success reliable".split()
 )
 _NOT = frozenset("not no non un in bad".split())
-# a sample that nobody judged is not judged against
+# meanings of samples that were not judged, which is no reason against them
 _UNJUDGED = re.compile(r"(not?|un)_?(yet_)?(evaluated|checked|performed|assessed|tested|determined)|no_qc.*|unknown")
 
 
 def flag_variables(data) -> list[str]:
-    """The variables that flag `radiance`: its ancillary ones, others with the attributes of flags or a name of one."""
+    """The variables that flag `radiance`: ancillary ones of integers, and others with attributes or a name of flags."""
     named = str(data["radiance"].attrs.get("ancillary_variables", "")).split()
     found = []
     for key in map(str, data.variables):
@@ -67,7 +67,7 @@ def flagged(name: str, key: str, numbers: np.ndarray, about: dict) -> Iterator[t
         if not harmless(meaning):
             yield f"flagged {meaning} by {key}", where
     if masks is None:
-        # 0 beside good flags of other numbers is one more that nobody explains
+        # if other numbers mean good, 0 is one more flag without a meaning
         bare = ~missing & (whole == 0) & ~np.isin(0, told) & any(map(harmless, meanings))
         for value in np.unique(whole[~known | bare]):
             yield f"flagged {value} by {key}", ~missing & (whole == value)
@@ -76,7 +76,7 @@ def flagged(name: str, key: str, numbers: np.ndarray, about: dict) -> Iterator[t
 def flagged_cells(key: str, cells: Sequence[str]) -> tuple[dict[str, Bool[np.ndarray, " row"]], str]:
     """Reasons against the rows of a table by one of its columns, and a note that says how many rows are flagged.
 
-    **Arguments:** `cells` of the column `key`, as they stand: numbers of which 0 is good, or words such as "good".
+    **Arguments:** `cells` of the column `key`, as in the file: numbers of which 0 is good, or words such as "good".
     """
     texts = np.array([cell.strip() for cell in cells])
     try:
@@ -95,7 +95,7 @@ def flagged_cells(key: str, cells: Sequence[str]) -> tuple[dict[str, Bool[np.nda
 
 
 def _integers(name, key, told):
-    """Flags as whole numbers, also of text such as "0b, 1b"; None for none."""
+    """Flags as integers, also from text such as "0b, 1b"; None for none."""
     if isinstance(told, str):
         told = re.findall(r"[-+]?\w+", re.sub(r"(?<=\d)[bBsSlL]\b", "", told))
     try:
@@ -105,7 +105,7 @@ def _integers(name, key, told):
 
 
 def harmless(meaning: str) -> bool:
-    """Whether what a flag means is no reason against a sample."""
+    """Whether a flag's meaning is no reason against a sample."""
     text = plain(meaning)
     if _UNJUDGED.fullmatch(text):
         return True
@@ -116,7 +116,7 @@ def harmless(meaning: str) -> bool:
 def outside(name: str, variable) -> Bool[np.ndarray, "..."]:
     """Where the numbers of a variable are not within its `valid_range`, `valid_min` and `valid_max`.
 
-    Of packed numbers the limits are packed as well, unless they have the type of what is unpacked.
+    For packed numbers the limits are packed as well, unless they have the type of the unpacked numbers.
     **Source:** NetCDF Users Guide, appendix A, and CF 1.11, 2.5.1, 8.1.
     """
     about, packing = variable.attrs, variable.encoding
@@ -131,7 +131,7 @@ def outside(name: str, variable) -> Bool[np.ndarray, "..."]:
     if packed and all(np.asarray(limit).dtype.kind in "iu" or np.asarray(limit).dtype == stored for limit in unpacked):
         low, high = sorted((float(low) * scale + offset, float(high) * scale + offset))
     values = np.asarray(variable.values)
-    # of limits in another precision than the numbers'
+    # tolerance for limits in another precision than that of the numbers
     slack = 1e-6 * max(abs(limit) for limit in (low, high) if np.isfinite(limit)) if unpacked else 0.0
     with np.errstate(invalid="ignore"):
         return np.asarray((values < float(low) - slack) | (values > float(high) + slack))

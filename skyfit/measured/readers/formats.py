@@ -1,4 +1,4 @@
-"""Which format a file has, by what it holds and not by its name."""
+"""Find the format of a file by its content, not by its name."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,16 +15,16 @@ from .skyrad import is_skyrad, read_skyrad
 from .tidy import read_tidy, REQUIRED
 
 
-# bytes and lines that are looked at: a line of names may be long
+# number of bytes and lines that are examined: a line of names may be long
 _START, _LINES = 1 << 16, 60
 _NETCDF = (b"CDF\x01", b"CDF\x02", b"CDF\x05", b"\x89HDF")
 
 
 def known_format(path: Path) -> Callable[..., Sky] | Callable[..., NoReturn] | None:
-    """The reader of a file's content, None where it is none of those that tell themselves.
+    """The reader of a file by its content, None if the content shows no known format.
 
     **Arguments:** `path`, a file.
-    **Returns:** a reader `(path, station) -> Sky`; of a file that is known but holds no sky one that says so.
+    **Returns:** a reader `(path, station) -> Sky`; for a known file without a sky, a reader that raises and says so.
     """
     with open(path, "rb") as stream:
         start = stream.read(_START)

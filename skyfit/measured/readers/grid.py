@@ -1,4 +1,4 @@
-"""Scattered samples onto the grid of times, directions and wavelengths."""
+"""Put scattered samples onto the grid of times, directions and wavelengths."""
 
 import numpy as np
 from jaxtyping import Int
@@ -25,12 +25,12 @@ class Axis:
 def by_time(
     times: Int[np.ndarray, " sample"], directions: Int[np.ndarray, " sample"]
 ) -> tuple[Int[np.ndarray, " sample"], Int[np.ndarray, "*axes"]]:
-    """Where samples lie on an axis of directions: that of all times, or of each time its own where they share few.
+    """The positions of samples on an axis of directions: one for all times, or one for each time if they share few.
 
-    **Arguments** of each sample the indices of its time and of its direction among all.
+    **Arguments** the indices of each sample's time and of its direction among all.
 
-    **Returns** each sample's position, and which direction stands at each: `[direction]`, where a sample can be of any
-    time, or `[time, direction]`, -1 past the last one of a time, if half of the former or more would be empty.
+    **Returns** each sample's position, and the direction at each position: `[direction]` for one axis of all times, or
+    `[time, direction]`, -1 past the last direction of a time, if half of the former axis or more would be empty.
     """
     count = int(directions.max()) + 1
     pairs, first, sample = np.unique(times * count + directions, return_index=True, return_inverse=True)
@@ -49,7 +49,7 @@ def by_time(
 
 
 def fill(shape: tuple[int, int, int], places: np.ndarray, values: np.ndarray, absent: float) -> np.ndarray:
-    """Values at their places of a grid, `absent` elsewhere.
+    """Put values at their places of a grid, `absent` elsewhere.
 
     **Arguments** `places`: int, [3, sample]; `values`: [sample].
 

@@ -1,4 +1,4 @@
-"""What the head of a file says of station and instrument: keys and units in any common spelling."""
+"""Read the station and the instrument from the head of a file, with keys and units in any common spelling."""
 
 import json
 import re
@@ -31,8 +31,8 @@ _EAST = {
     **dict.fromkeys(("w", "west", "degree_west", "degrees_west"), -1.0),
 }
 _SEA = ("asl", "amsl", "msl", "above_sea_level", "above_mean_sea_level")
-# what a number is called inside: the units it may have, and its names without unit; a height is one of the station
-# only where it says above what, a pressure that is reduced to the sea's level is not the station's
+# the package's name of each number: the units that it may have, and its names in files without unit. A height is that
+# of the station only if it says above what; a pressure reduced to sea level is not that of the station
 _QUANTITIES = {
     "latitude": (_NORTH, ("latitude", "lat")),
     "longitude": (_EAST, ("longitude", "lon", "long", "lng")),
@@ -56,24 +56,24 @@ _NAMES = {name: quantity for quantity, (_, names) in _QUANTITIES.items() for nam
 _MOMENTS = ("time", "date", "datetime", "timestamp", "utc")
 _REMARKS = ("note", "notes", "comment", "comments", "remark", "remarks")
 _UNITS = ("units", "unit", "radiance_units", "radiance_unit")
-# what a pressure without unit can be: no air has as many of one as of another
+# ranges of a pressure without unit, which do not overlap
 _BARE_PRESSURES = ((3e4, 1.2e5, "Pa"), (3e2, 1.2e3, "hPa"), (3e1, 1.2e2, "kPa"))
 _VALUE = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*[\[(]?\s*(.*?)\s*[\])]?")
 _LINE = re.compile(r"([A-Za-z][\w .()\[\]/°-]*?)\s*[:=]\s*(.*)")
 _BARE = re.compile(r"([A-Za-z_]+)\s+([-+.]?\d.*)")
 _MOST_WORDS = 4
 _DAY = re.compile(r"\d{4}-\d\d-\d\d|\d{8}")
-# datetime holds microseconds: what is finer goes straight to NumPy
+# datetime holds microseconds: NumPy reads finer times
 _NANOSECONDS = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d\.\d{7,9}[Zz]?")
 
 
 @dataclass
 class Head:
-    """What keys of a file have said so far.
+    """The content of a file's keys so far.
 
-    `station`: numbers by the names of `Contents.station`; `moment`: when all samples were taken, NaT if not said;
-    `units`, `saturation`: text and number as they stand, with their place for errors; `calibration_sigma` and
-    `follows_sun` as in `Sky`; `made_by`: what made a simulated sky; `unknown`: keys that nothing here understands.
+    `station`: numbers by the names of `Contents.station`; `moment`: when all samples were taken, NaT if not stated;
+    `units`: text as in the file, with its place for errors; `saturation`: number as in the file; `calibration_sigma`
+    and `follows_sun` as in `Sky`; `made_by`: what made a simulated sky; `unknown`: keys that are not understood.
     """
 
     name: str
@@ -88,7 +88,7 @@ class Head:
     unknown: list[str] = field(default_factory=list)
 
     def line(self, place: str, text: str) -> None:
-        """A line of comment: `key: value`, `key = value`, or a number after a name that is known; else prose."""
+        """Read a line of comment: `key: value`, `key = value`, or a number after a known name; others are prose."""
         pair = _LINE.fullmatch(text)
         if pair is None:
             pair = _BARE.fullmatch(text)
@@ -100,7 +100,7 @@ class Head:
             self.entry(place, *pair.groups())
 
     def entry(self, place: str, key: str, value: object) -> None:
-        """A key and its value; what is not understood is remembered as unknown."""
+        """Read a key and its value; a key that is not understood is added to `unknown`."""
         word = plain(key)
         if quantity_of(key) is not None:
             self.number(place, key, str(value))
@@ -120,7 +120,7 @@ class Head:
             self.unknown.append(key)
 
     def number(self, place: str, key: str, text: str, units: str = "") -> None:
-        """A number of the station, its unit in the key, after the number, or in `units`."""
+        """Read a number of the station, with its unit in the key, after the number, or in `units`."""
         quantity, said = quantity_of(key) or ("", "")
         known = _QUANTITIES[quantity][0]
         value, own = self._parsed(place, key, text, known)
@@ -157,7 +157,7 @@ class Head:
         raise ValueError(f"{self.name}: {place} `{key}`: expected a pressure with its unit, found {value:g}")
 
     def _time(self, text) -> bool:
-        """Whether the text is a time in UTC, or a day, which tells how far the sun is."""
+        """Read a time in UTC, or a day, which gives the sun's distance; False if the text is neither."""
         try:
             moment = moment_of(text.strip().removesuffix("UTC").strip())
         except ValueError:
@@ -181,7 +181,7 @@ class Head:
 
 
 def moment_of(text: str) -> np.datetime64:
-    """A time in ISO 8601, UTC where it does not say; `ValueError` for any other text."""
+    """A time in ISO 8601, in UTC if it states no zone; `ValueError` for any other text."""
     moment = datetime.fromisoformat(text)
     if not 1678 < moment.year < 2262:
         raise ValueError(f"expected a year between 1678 and 2262, found {moment.year}")
@@ -196,7 +196,7 @@ def moment_of(text: str) -> np.datetime64:
 
 
 def quantity_of(key: str) -> tuple[str, str] | None:
-    """Which number of a station a key means, by its name inside, and the unit that the key says; None if it is none."""
+    """The package's name of the station's number that a key means, and the key's unit; None if there is none."""
     words = plain(key).split("_")
     for rest in (words, words[1:]) if words[0] in _PLACES else (words,):
         for at in range(1, len(rest) + 1):

@@ -1,4 +1,4 @@
-"""NetCDF: time, direction, wavelength."""
+"""Read NetCDF along time, direction, wavelength."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ _USED = (
     *AXES, "radiance", "sigma", "suspect", "view_zenith", "view_azimuth", "sun_zenith", "sun_azimuth",
     "sun_azimuth_instrument", BEAM, f"{BEAM}_sigma", DEPTH, f"{DEPTH}_sigma", *DEGREE,
 )  # fmt: skip
-# what describes a file to people and catalogues: by CF and ACDD, and what libraries leave
+# attributes that describe a file to people and catalogues: those of CF and ACDD, and those that libraries leave
 _DESCRIPTIVE = frozenset(
     "conventions title history institution source references featuretype summary keywords keywords_vocabulary id "
     "naming_authority processing_level acknowledgement license standard_name_vocabulary project program platform "
@@ -32,12 +32,12 @@ _DESCRIPTIVE = frozenset(
     "contributor".split()
 )
 _DESCRIPTIVE_PARTS = ("creator_", "publisher_", "contributor_", "date_", "geospatial_", "time_coverage_", "_nc")
-# of these a file says one thing, or is wrong
+# variables that must hold one number in a file
 _CANONICAL = ("latitude", "longitude", "altitude_m", "elevation_m", "pressure_pa", "fwhm_nm")
 
 
 def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) -> Sky:
-    """A NetCDF file of sky radiance as a `Sky`.
+    """Read a NetCDF file of sky radiance as a `Sky`.
 
     **Arguments**
 
@@ -48,18 +48,18 @@ def read_netcdf(path: Path, station: dict[str, float], own_units: bool = False) 
       end of a shorter scan, `wavelength`; `sun_zenith` and `sun_azimuth` [time] or [time, wavelength], or latitude,
       longitude and time.
       Channels of a camera or photometer: `channel` in place of the dimension wavelength, `response` [channel,
-      spectrum], `spectrum` (nm), optionally `channel` (names), and `wavelength` [channel], what they are called;
+      spectrum], `spectrum` (nm), optionally `channel` (names), and `wavelength` [channel], the channels' labels;
       `radiance` is then in any unit, that of the response. `luminance` (cd m-2), alone or with `x` and `y`
-      (CIE 1931), stands in place of radiance and wavelength; `normalized_radiance` (pi L / E0), or radiance in sr-1
+      (CIE 1931), replaces radiance and wavelength; `normalized_radiance` (pi L / E0), or radiance in sr-1
       (L / E0), is multiplied by the sun's irradiance. A sun photometer's file (`photometer`) is known by its variables
-    - `station`: numbers that stand instead of the file's own, by name; those are attributes, or variables of one value,
-      in the spellings and units that `header` knows; `own_units`: those of channels, of any name
+    - `station`: numbers that replace the file's own, by name. The file's own are attributes, or variables of one value,
+      in the spellings and units that `header` knows; `own_units`: whether units are those of channels, with any name
 
-    **Returns** a `Sky`. `sun_azimuth_instrument`, where finite, stands before `sun_azimuth`.
+    **Returns** a `Sky`. `sun_azimuth_instrument`, where finite, replaces `sun_azimuth`.
 
     **Valid** the CF conventions: fill values, packing, valid ranges and flags (`flags`) mask samples, counted by
-    reason; what is not used is named in a note. Units W m-2 sr-1 nm-1 in any common spelling; mW, um, cm are
-    converted, with a note; the irradiance of the sun's beam W m-2 nm-1 alike.
+    reason; a note names what is not used. Units are W m-2 sr-1 nm-1 in any common spelling; mW, um, cm are
+    converted, with a note; the same holds for the irradiance of the sun's beam, W m-2 nm-1.
     """
     data = load_dataset(path)
     name = path.name
@@ -155,7 +155,7 @@ def _require(name, data):
 
 
 def _response(name, data):
-    """The channels of a file, None without any, and the data with wavelength, what they are called, as their axis."""
+    """The channels of a file, None without any, and the data with `wavelength`, their labels, as their axis."""
     if "response" not in data:
         return None, data
     variable = data["response"]
@@ -176,7 +176,7 @@ def _response(name, data):
 
 
 def _share(name, data, own, normalised):
-    """Of the sun's irradiance, where that is what the samples are of; None where they are in a unit of their own."""
+    """The factor of samples that are a share of the sun's irradiance; None if they are in a unit of their own."""
     units = data["radiance"].attrs.get("units")
     try:
         return None if own else share_of(None if units is None else str(units), normalised is not None)
@@ -205,13 +205,13 @@ def _radiance(name, data, response, own_units, share):
     if "time" not in radiance.dims:
         radiance = radiance.expand_dims("time")
     radiance = radiance.transpose(*AXES)
-    # how it was packed, which a change of axes forgets
+    # the packing, which a change of axes loses
     radiance.encoding = data["radiance"].encoding
     return radiance, factor, notes, eye
 
 
 def _beam(name, data, radiance):
-    """Direct normal irradiance and its sigma, [time, wavelength], and what was converted; None where absent."""
+    """Direct normal irradiance and its sigma, [time, wavelength], None if absent, and notes on conversions."""
     if BEAM not in data:
         return None, None, []
     across = radiance.isel(direction=0)
@@ -228,7 +228,7 @@ def _beam(name, data, radiance):
 
 
 def _depths(name, data, radiance):
-    """The haze's optical depth at each wavelength and its sigma, [time, wavelength]; one of no wavelength is none."""
+    """The haze's optical depth at each wavelength and its sigma, [time, wavelength]; None without wavelengths."""
     if DEPTH not in data or "wavelength" not in data[DEPTH].dims:
         return None, None
     across = radiance.isel(direction=0)
@@ -258,7 +258,7 @@ def _stored(name, variable):
 
 
 def _spread(name, data, key, axes, radiance):
-    """A variable on any subset of the axes, over all of them."""
+    """Broadcast a variable on any subset of the axes over all of them."""
     variable = data[key]
     extra = [axis for axis in variable.dims if axis not in radiance.dims]
     if extra:
@@ -273,7 +273,7 @@ def _spread(name, data, key, axes, radiance):
     return np.broadcast_to(numbers[index], radiance.shape).copy()
 
 
-# dimensions that an angle may have, all of them, in the place of the one that it must have
+# all dimensions that an angle may have, by its usual one
 _OF_ANGLES = {"direction": AXES, "time": ("time", "wavelength")}
 
 
@@ -297,7 +297,7 @@ def _angle(name, data, key, along, radiance):
         raise ValueError(
             f"{name}: variable `{key}`: expected dimensions of `radiance` {radiance.shape}, found {variable.shape}"
         )
-    # a view of each wavelength is one of each time
+    # views of each wavelength are held for each time too
     whole = (along,) if set(variable.dims) <= {along} else axes if "wavelength" in variable.dims else axes[:2]
     kept = [axis for axis in whole if axis in variable.dims]
     numbers = _numbers(name, variable).transpose([variable.dims.index(axis) for axis in kept])
@@ -307,12 +307,12 @@ def _angle(name, data, key, along, radiance):
 
 
 def _alike(one, other, along):
-    """Two angles in one shape; `along`: the axis, of two, of the one that has only one."""
+    """Broadcast two angles to one shape; `along`: the axis, of two, of an angle that has only one axis."""
     if one.ndim == other.ndim:
         return one, other
     shape = max(one.shape, other.shape, key=len)
     wide = [angle[:, None] if along == 0 and angle.ndim == 1 else angle for angle in (one, other)]
-    # a view that is one at all wavelengths
+    # a view that is the same at all wavelengths
     wide = [angle[..., None] if len(shape) == 3 > angle.ndim else angle for angle in wide]
     return tuple(np.broadcast_to(angle, shape).copy() for angle in wide)
 
@@ -343,7 +343,7 @@ def _wavelength(name, data):
 
 
 def _time(name, data, length, moment):
-    """Of each time; `moment` where the file has no such variable."""
+    """The moment of each time; `moment` if the file has no variable `time`."""
     if "time" not in data.variables:
         return np.full(length, moment)
     values = data["time"]
@@ -356,7 +356,7 @@ def _time(name, data, length, moment):
 
 
 def _head(name, data):
-    """What attributes and single numbers among the variables say, and the names of those variables."""
+    """The head from the attributes and the variables of one number, and the names of those variables."""
     head, taken = Head(name), []
     for key, value in data.attrs.items():
         plain = str(key).lower()

@@ -1,4 +1,4 @@
-"""Radiance that files give as a share of the sun's irradiance, and not in watts."""
+"""Convert radiance that files give as a share of the sun's irradiance, and not in watts."""
 
 from dataclasses import replace
 
@@ -9,25 +9,25 @@ from ..samples import Sky
 from ..station import sun_factor
 
 
-# pi L / E0, dimensionless, as photometers' people have it; or L / E0 in this unit
+# names of pi L / E0, which is dimensionless, or of L / E0, which has one of the units `_PER_SUN`
 NAMES = ("normalized_radiance", "normalised_radiance")
 _DIMENSIONLESS = ("1", "", "none", "dimensionless", "unitless")
 _PER_SUN = ("sr-1", "sr^-1", "1/sr", "/sr", "sr⁻¹", "1 / sr")
 
 
 def normalised_name(names) -> str | None:
-    """What a file without `radiance` calls its normalised radiance; None where it has none."""
+    """The name of the normalised radiance in a file without `radiance`; None if there is none."""
     if "radiance" in names:
         return None
     return next((name for name in names if str(name).lower() in NAMES), None)
 
 
 def share_of(units: str | None, normalised: bool) -> float | None:
-    """What a sample has to be multiplied by to be a share of the sun's irradiance per steradian.
+    """The factor that makes a sample a share of the sun's irradiance per steradian.
 
-    **Arguments:** `units` of the samples; `normalised`: they are called so.
+    **Arguments:** `units` of the samples; `normalised`: whether their name says that they are normalised.
     **Returns:** 1 for L / E0, 1/pi for pi L / E0; None for samples in watts.
-    **Errors:** `ValueError` for samples that are called normalised in another unit.
+    **Errors:** `ValueError` for samples that are named normalised in another unit.
     """
     plain = "" if units is None else " ".join(units.split()).lower()
     if plain in _PER_SUN:
@@ -40,10 +40,10 @@ def share_of(units: str | None, normalised: bool) -> float | None:
 
 
 def in_sunlight(sky: Sky, share: float) -> Sky:
-    """A sky whose samples are times `share` those of the sun's irradiance, in W m^-2 sr^-1 nm^-1.
+    """Multiply a sky's samples by `share` and the sun's irradiance, which gives W m^-2 sr^-1 nm^-1.
 
-    By the spectrum and line shape, and the distance of the sun on the day, that a fit takes as well: in it they cancel.
-    Samples beyond the sun's table, 300-1100 nm, are masked.
+    A fit takes the same spectrum, line shape and distance of the sun on the day, so that they cancel in it. Samples
+    beyond the sun's table, 300-1100 nm, are masked.
     """
     own = sky.wavelength_nm
     known = (own >= SPECTRUM_NM[0]) & (own <= SPECTRUM_NM[1])

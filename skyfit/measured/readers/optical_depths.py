@@ -13,11 +13,11 @@ from .header import plain
 from .scans import Series
 
 
-# an optical depth this far in time from a scan tells nothing of it
+# an optical depth further in time from a scan than this is not used
 _FARTHEST = np.timedelta64(30, "m")
-# of field instruments, beyond and below 400 nm (Giles et al. 2019, Atmos. Meas. Tech. 12, 169)
+# sigma of field instruments, above and below 400 nm (Giles et al. 2019, Atmos. Meas. Tech. 12, 169)
 _SIGMA, _SIGMA_UV, _UV_NM = 0.01, 0.02, 400.0
-# nm; a filter is the same one where its wavelength is this near
+# filters are the same if their wavelengths are this near, nm
 _SAME_FILTER = 3.0
 _DEPTH = re.compile(r"aod_(\d+)nm")
 _EXACT = re.compile(r"exact_wavelengths_of_aod_um_(\d+)nm")
@@ -38,7 +38,7 @@ class Depths:
 
 
 def refuse_depths(path: Path, station: dict[str, float]) -> NoReturn:
-    """Optical depths alone make no sky: a `ValueError` that says where they belong."""
+    """Raise a `ValueError` that says where optical depths belong: alone they make no sky."""
     raise ValueError(
         f"{path.name}: found aerosol optical depths without a sky: expected a sky scan of AERONET (.alm, .ppl, .hyb), "
         "which takes this file along if it lies beside it"
@@ -53,7 +53,7 @@ def beside(path: Path, site: str) -> Depths | None:
             try:
                 depths = depths_of(file)
             except ValueError:
-                # whatever it is, it was not asked for
+                # the user did not ask for this file, so its errors do not matter
                 continue
             if depths.site == site:
                 found.append(depths)
@@ -61,7 +61,7 @@ def beside(path: Path, site: str) -> Depths | None:
 
 
 def depths_of(path: Path) -> Depths:
-    """The optical depths of a file by AERONET; `ValueError` where it is none."""
+    """The optical depths of a file by AERONET; `ValueError` if it holds none."""
     table = table_of(path, "AOD_")
     names = [plain(name) for name in table.names]
     places = {match[1]: place for place, name in enumerate(names) if (match := _DEPTH.fullmatch(name))}
@@ -97,10 +97,10 @@ def _columns(table: Table, places) -> np.ndarray:
 
 
 def joined(series: Series, depths: Depths) -> None:
-    """Put the optical depths at the time of each sweep into a series of scans, with ozone, and say so.
+    """Put the optical depths at the time of each sweep into a series of scans, with ozone and a note.
 
-    Between two measurements they are interpolated, their sigma that of the instrument and half of their difference;
-    before the first and after the last that of the nearest stands for half an hour.
+    Between two measurements they are interpolated, with the sigma of the instrument and half of their difference.
+    Before the first and after the last measurement the nearest one holds for half an hour.
     """
     contents = series.contents
     value, sigma = (np.full(series.moment.shape, np.nan) for _ in range(2))
@@ -129,7 +129,7 @@ def joined(series: Series, depths: Depths) -> None:
 
 
 def _at(moment: np.datetime64, moments: np.ndarray, values: np.ndarray) -> tuple[float, float]:
-    """A series at a time, and the difference of its neighbours; NaN where none is near."""
+    """The value of a series at a time, and the difference of its neighbours; NaN if none is near."""
     near = np.isfinite(values) & (np.abs(moments - moment) <= _FARTHEST)
     if not near.any():
         return np.nan, np.nan

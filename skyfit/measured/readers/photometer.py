@@ -1,4 +1,4 @@
-"""Almucantars of the sun photometers of the ARM sites (csphot) in NetCDF: a row a filter, angles from the sun."""
+"""Read almucantars of the ARM sites' sun photometers (csphot) in NetCDF: a row for each filter, angles from the sun."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ _DONE = ("time", "azimuth", "wavelength", "base_time", "time_offset")
 
 
 def is_photometer(data) -> bool:
-    """Whether a dataset holds an almucantar's radiance over time and azimuth, a filter's wavelength at each time."""
+    """Whether a dataset holds almucantars: radiance over time and azimuth, and a filter's wavelength at each time."""
     return _radiance(data) is not None
 
 
@@ -26,17 +26,17 @@ def _radiance(data) -> str | None:
 
 
 def read_photometer(name: str, data, station: dict[str, float]) -> Sky:
-    """A dataset of almucantars as a `Sky`.
+    """Read a dataset of almucantars as a `Sky`.
 
     **Arguments**
 
     - `data`: `alm_rad` [time, azimuth] in a unit of spectral radiance, `azimuth` from the sun (degrees), `wavelength`
       and `zenith`, the sun's, [time], `lat`, `lon`, `alt`
-    - `station`: numbers that stand instead of the file's own, by name
+    - `station`: numbers that replace the file's own, by name
 
-    **Returns** a `Sky` of the scans in time, each wavelength where it looked.
+    **Returns** a `Sky` of the scans in time, each wavelength with its own views.
 
-    **Valid** times in UTC; what is missing is a `ValueError` that names it.
+    **Valid** times in UTC; anything that is missing is a `ValueError` that names it.
     """
     key = str(_radiance(data))
     sun = next((one for one in _SUN if one in data), None)
@@ -77,7 +77,7 @@ def read_photometer(name: str, data, station: dict[str, float]) -> Sky:
 
 
 def _azimuths(name, data, light, notes):
-    """Azimuths from the sun, degrees, NaN where the file has none, whose samples are taken out of `light`."""
+    """Azimuths from the sun, degrees, NaN where the file has none; samples there are removed from `light`."""
     azimuth = _numbers(name, data, "azimuth", ("azimuth",)) if "azimuth" in data.variables else np.zeros(0)
     if not np.isfinite(azimuth).any():
         raise ValueError(f"{name}: variable `azimuth`: expected angles from the sun in degrees, found none")
@@ -103,12 +103,12 @@ def _numbers(name, data, key, axes):
         found = ", ".join(map(str, variable.dims)) or "none"
         raise ValueError(f"{name}: variable `{key}`: expected numbers along {', '.join(axes)}, found {found}")
     numbers = variable.transpose(*axes).values.astype(float)
-    # files mark what is missing by this number also where no attribute says so
+    # files mark missing numbers this way even if no attribute says so
     return np.where(numbers <= -9998.5, np.nan, numbers)
 
 
 def _station(data):
-    """Latitude, longitude and altitude, and the names of what says them."""
+    """Latitude, longitude and altitude, and the names of their variables."""
     told, taken = {}, []
     for key in map(str, data.variables):
         quantity = quantity_of(key)

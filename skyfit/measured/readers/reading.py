@@ -1,4 +1,4 @@
-"""Read measured sky from whatever it lies in."""
+"""Read a measured sky from a file or folder of any known format."""
 
 import os
 from pathlib import Path
@@ -12,9 +12,9 @@ from .scanner import read_scanner
 from .tidy import read_tidy
 
 
-# by suffix, where the content is none that `formats` knows; a folder is of ASD text exports
+# readers by suffix, for content that `formats` does not know; a folder holds ASD text exports
 READERS = {".nc": read_netcdf, ".nc4": read_netcdf, ".cdf": read_netcdf, ".csv": read_tidy}
-# those that take units of channels
+# readers that take units of channels
 _OF_CHANNELS = (read_netcdf, read_tidy)
 
 
@@ -28,11 +28,11 @@ def read(
     fwhm_nm: float | int | None = None,
     response: Response | None = None,
 ) -> Sky:
-    """Measured sky radiance, or luminance, from the file of an instrument, NetCDF, a tidy CSV or a folder of ASD text.
+    """Read sky radiance, or luminance, from an instrument's file, NetCDF, a tidy CSV or a folder of ASD text.
 
     **Arguments**
 
-    - `path`: a file of any name, known by what is in it, or a folder: NetCDF and tidy CSV as `write_sky` writes them;
+    - `path`: a file of any name, known by its content, or a folder: NetCDF and tidy CSV as `write_sky` writes them;
       AERONET's raw sky scans (`.alm`, `.ppl`, `.hyb`), with the optical depths (`.lev15`, `.lev20`) that lie beside
       them; SKYNET's scans (`.DT5`) with `ins.para` beside them; ARM csphot almucantars in NetCDF; a sky scanner's table
       of 145 luminances; a folder of ASD text exports
@@ -41,14 +41,14 @@ def read(
       the times of the others are UTC
     - `altitude`: m above sea level; instead of the file's own
     - `fwhm_nm`: full width at half maximum of the instrument's line shape, nm
-    - `response`: of the channels that the samples are of, if the file does not hold it; its units are then those of
+    - `response`: response of the samples' channels, if the file does not hold it; the file's units are then those of
       the channels, whatever they are called. Luminance (cd m-2) in one channel needs none: the eye's is known
 
     **Returns** a `Sky`; samples that are missing, negative, infinite, saturated, below the horizon
     or marked as suspect are masked and counted, never silently used.
 
-    **Valid** what cannot be understood is a one-line `ValueError` that names the file, the row or
-    the column, what was expected and what was found.
+    **Valid** anything that cannot be understood is a one-line `ValueError` that names the file, the
+    row or the column, what was expected and what was found.
 
     **Example:**
 
@@ -91,7 +91,7 @@ def read(
                 f"{path.name}: `utc_offset` is for a sky scanner or a folder of ASD text exports; times in this file "
                 "are UTC"
             )
-        # a reader of one's own may know no channels
+        # a reader that a user has added may not know channels
         own = {} if response is None or reader not in _OF_CHANNELS else {"own_units": True}
         return seen(reader(path, station, **own))
     except OSError as error:

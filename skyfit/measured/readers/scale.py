@@ -1,15 +1,15 @@
-"""What the unit of a file's samples says: how to convert them, and that the eye saw them."""
+"""The conversion of a file's samples by their unit, and the eye's response for luminance."""
 
 from ..response import Response
 from ..units import LUMINANCE, luminance_factor, RADIANCE, radiance_factor
 
 
 def scale_of(units: str | None, channels: int, own: bool) -> tuple[float, list[str], Response | None]:
-    """The factor of units, a note where they are converted, and the eye's response where they are of luminance.
+    """The factor of units, a note if they are converted, and the eye's response if they are of luminance.
 
-    **Arguments:** `channels`, how many wavelengths or channels the samples have; `own`: a response is known besides, so
+    **Arguments:** `channels`, how many wavelengths or channels the samples have; `own`: whether a response is known, so
     that the units are those of its channels, whatever they are.
-    **Errors:** `ValueError` for other units without a response, luminance of more than one channel among them.
+    **Errors:** `ValueError` for other units without a response, also for luminance of more than one channel.
     """
     luminance = None if units is None else luminance_factor(units)
     if luminance is not None:

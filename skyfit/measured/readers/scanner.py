@@ -1,4 +1,4 @@
-"""Sky scanners: the luminance of Tregenza's 145 patches at each time, a row a time."""
+"""Read tables of sky scanners: the luminance of Tregenza's 145 patches, one row for each time."""
 
 import csv
 import re
@@ -22,9 +22,9 @@ _CLOCKS = (
     "%Y/%m/%d %H:%M",
 )  # fmt: skip
 _MISSING = (-999.0, -9999.0)
-# cd m-2; the median patch of a sky by day has a thousand or more, that of a file in kcd m-2 a few
+# median luminance that is doubted, cd m-2: a sky by day has a thousand or more, a file in kcd m-2 a few
 _DIM = 100.0
-# how much smoother one order of the patches has to be than the other before it is believed
+# largest roughness of one order of the patches over that of the other for which the first is believed
 _CLEARER = 0.9
 
 
@@ -34,7 +34,7 @@ def is_scanner(lines: list[str]) -> bool:
 
 
 def _patches(cells: list[str]) -> int | None:
-    """Where the numbers of the patches begin in a row, None where it is none of a scanner."""
+    """The index in a row at which the numbers of the patches begin, None if it is no row of a scanner."""
     while cells and not cells[-1].strip():
         cells = cells[:-1]
     start = len(cells) - PATCHES
@@ -45,19 +45,19 @@ def _patches(cells: list[str]) -> int | None:
 
 
 def read_scanner(path: Path, station: dict[str, float], utc_offset: float | int | None = None) -> Sky:
-    """A sky scanner's table as a `Sky` of luminance, cd m^-2.
+    """Read a sky scanner's table as a `Sky` of luminance, cd m^-2.
 
     **Arguments**
 
-    - `path`: CSV; rows of a time (or a day and a time) and 145 luminances, in cd m-2, or as a line `# units: kcd m-2`
-      or the names say, in Tregenza's order: bands of 30, 30, 24, 24, 18, 12 and 6 patches at 6 to 78 degrees elevation
-      from north, then the zenith; lines `# key: value` above tell the station (`header`)
-    - `station`: numbers that stand instead of the file's own, by name; `utc_offset`: hours of local time ahead of UTC
+    - `path`: CSV; rows of a time (or a day and a time) and 145 luminances, in cd m-2, or in the unit of a line
+      `# units: kcd m-2` or of the names, in Tregenza's order: bands of 30, 30, 24, 24, 18, 12 and 6 patches at 6 to 78
+      degrees elevation from north, then the zenith; lines `# key: value` above state the station (`header`)
+    - `station`: numbers that replace the file's own, by name; `utc_offset`: hours of local time ahead of UTC
 
-    **Returns** a `Sky` of one channel, the eye's. Whether all bands go clockwise, or every other one back, is told by
-    the sky itself: neighbours are alike. -999 and empty cells are missing.
+    **Returns** a `Sky` of one channel, the eye's. The sky itself shows whether all bands go clockwise, or every other
+    one goes back: neighbours are alike. -999 and empty cells are missing.
 
-    **Valid** latitude and longitude, told or given, place the sun; without them `ValueError`.
+    **Valid** latitude and longitude, from the file or `station`, place the sun; without them `ValueError`.
     """
     name = path.name
     text = path.read_text(encoding="utf-8-sig")
@@ -123,7 +123,7 @@ def tregenza() -> tuple[Float[np.ndarray, " direction"], Float[np.ndarray, " dir
 
 
 def _order(light: Float[np.ndarray, "time direction"]) -> tuple[np.ndarray, str]:
-    """Where in a row each patch of `tregenza` stands, and what was found: all bands clockwise, or every other back."""
+    """The index in a row of each patch of `tregenza`, and a note: all bands go clockwise, or every other goes back."""
     clockwise, back, start = np.arange(PATCHES), [], 0
     for band, (_, count) in enumerate(BANDS):
         places = start + np.arange(count)
@@ -138,7 +138,7 @@ def _order(light: Float[np.ndarray, "time direction"]) -> tuple[np.ndarray, str]
 
 
 def _roughness(light) -> float:
-    """How unlike neighbouring bands are at the same azimuths, in the logarithm of luminance."""
+    """The difference of neighbouring bands at the same azimuths, in the logarithm of luminance."""
     logs = np.log(np.where(light > 0.0, light, np.nan))
     total, start = 0.0, 0
     bands = []

@@ -1,4 +1,4 @@
-"""Scans about the sun, one filter after the other, as skies: an almucantar, the principal plane, and others."""
+"""Convert scans about the sun, one filter after the other, to skies: almucantar, principal plane, and others."""
 
 from dataclasses import dataclass, field
 
@@ -10,29 +10,30 @@ from .screening import Contents
 
 
 ALMUCANTAR, PRINCIPAL_PLANE, HYBRID = "almucantar", "principal plane", "hybrid scan"
-# a hybrid scan leaves the sun at right angles to its vertical plane, down to this view zenith angle, degrees, along
-# which it goes on around the sky (Sinyuk et al. 2020, Atmos. Meas. Tech. 13, 3375)
+# largest view zenith angle of a hybrid scan, degrees: the scan leaves the sun at right angles to its vertical plane,
+# down to this angle, along which it continues around the sky (Sinyuk et al. 2020, Atmos. Meas. Tech. 13, 3375)
 _LOWEST_OF_HYBRID = 75.0
-# filters of one scan follow each other within this; the next scan of a photometer begins a quarter of an hour later
+# longest gap between filters of one scan; the next scan of a photometer begins a quarter of an hour later
 _LONGEST_GAP = np.timedelta64(300, "s")
-# where neither time nor place tells where the sun stands, its azimuth: views are counted from it
+# azimuth of the sun if its place is not known: views are counted from it
 _NO_AZIMUTH = 180.0
-# of the interference filters of CIMEL's photometers from 440 to 1020 nm (Holben et al. 1998, Remote Sens. Environ. 66)
+# width of the interference filters of CIMEL's photometers from 440 to 1020 nm (Holben et al. 1998, Remote Sens.
+# Environ. 66)
 FILTER_FWHM_NM = 10.0
-# of a sample's noise, relative: readings repeat to a per cent, and the two sides of an almucantar agree to some; and of
-# each filter's calibration, by integrating spheres, better than 5 % (Holben et al. 1998)
+# relative sigma of a sample's noise: readings repeat to a per cent, and the two sides of an almucantar agree to some;
+# and of each filter's calibration by integrating spheres, better than 5 % (Holben et al. 1998)
 _NOISE, _CALIBRATION = 0.02, 0.05
 
 
 @dataclass
 class Sweep:
-    """One filter's way about the sun.
+    """The samples of one filter about the sun.
 
-    `moment` UTC; `wavelength` nm; `sun_zenith` degrees; `zenith`, `azimuth` `[direction]` degrees, of the view, azimuth
-    from the sun, clockwise; `radiance` `[direction]` W m^-2 sr^-1 nm^-1, NaN where missing. Sweeps of one scan have the
-    same directions in the same order. `kind`: of the scan; `row`: where it stands in the file. Where the file tells
-    them, else NaN: `sun_azimuth` degrees, clockwise from north; `beam`, the sun's irradiance on a plane normal to it,
-    W m^-2 nm^-1.
+    `moment` UTC; `wavelength` nm; `sun_zenith` degrees; `zenith`, `azimuth` `[direction]` degrees, those of the view,
+    azimuth clockwise from the sun; `radiance` `[direction]` W m^-2 sr^-1 nm^-1, NaN where missing. Sweeps of one scan
+    have the same directions in the same order. `kind`: that of the scan; `row`: that in the file. `sun_azimuth`
+    degrees, clockwise from north, and `beam`, the sun's irradiance on a plane normal to it, W m^-2 nm^-1, are NaN if
+    the file does not state them.
     """
 
     moment: np.datetime64
@@ -49,17 +50,17 @@ class Sweep:
 
 @dataclass
 class Series:
-    """Scans of a file as they stand for a `Sky`, and the time and place of each sweep among them."""
+    """The scans of a file as contents of a `Sky`, and the moment of each sweep, `[time, wavelength]`."""
 
     contents: Contents
     moment: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), "datetime64[ns]"))
 
 
 def view_of(kind: str, angle: Float[np.ndarray, " direction"], sun_zenith: float):
-    """Zenith angle and azimuth from the sun, degrees, of views at an angle of a scan of some kind.
+    """Zenith angle and azimuth from the sun, degrees, of views at the angles of a kind of scan.
 
-    **Arguments:** `angle`, degrees: of an almucantar the azimuth from the sun, at the sun's height; of a hybrid scan
-    the azimuth too; in the principal plane the angle from the sun, positive upward, on over the zenith.
+    **Arguments:** `angle`, degrees: for an almucantar, at the sun's zenith angle, the azimuth from the sun; for a
+    hybrid scan the azimuth too; in the principal plane the angle from the sun, positive upward and beyond the zenith.
     """
     if kind == ALMUCANTAR:
         return np.full(angle.shape, sun_zenith), angle
@@ -73,7 +74,7 @@ def view_of(kind: str, angle: Float[np.ndarray, " direction"], sun_zenith: float
 
 
 def azimuth_of_hybrid(scattering: Float[np.ndarray, " direction"], sun_zenith: float):
-    """Azimuth from the sun, degrees, where a hybrid scan is at a scattering angle, degrees, whose sign it has.
+    """Azimuth from the sun, degrees, of a hybrid scan at a scattering angle, degrees, with the same sign.
 
     **Returns:** NaN at scattering angles that no view of the scan has.
     """
@@ -95,12 +96,13 @@ def series_of(
     calibration: float = _CALIBRATION,
     beam_sigma: float = np.nan,
 ) -> Series:
-    """All sweeps of a file as scans in time, each seen where its filter looked.
+    """Join all sweeps of a file to scans in time, each wavelength with the views of its filter.
 
-    **Arguments:** `station`, numbers by the names of `Contents.station`; `notes` of the reader, to which these are
+    **Arguments:** `station`, numbers by the names of `Contents.station`; `notes` of the reader, to which more are
     added; `calibration`, relative sigma of each filter's scale, and `beam_sigma` of the sun's beam.
     **Returns:** contents with views `[time, direction, wavelength]` and a sun `[time, wavelength]`, at the file's
-    zenith angle and its azimuth, or that of time and place; directions without any sample are left out and counted.
+    zenith angle and its azimuth, or that of time and place. Directions without any sample are left out; missing
+    samples are counted.
     """
     scans = _scans(name, sweeps, notes)
     wavelength = np.unique([sweep.wavelength for sweep in sweeps])
@@ -125,7 +127,7 @@ def series_of(
             radiance[t, :count, w] = sweep.radiance[places]
             zenith[t, :count, w] = sweep.zenith[places]
             around[t, :count, w] = sweep.azimuth[places] + azimuth[id(sweep)]
-        # a filter that this scan lacks looks where another one did
+        # a filter that this scan lacks gets the views of another one
         known = np.flatnonzero(np.isfinite(sun_zenith[t]))
         for w in np.flatnonzero(np.isnan(sun_zenith[t])):
             near = known[np.argmin(np.abs(known - w))]
@@ -154,7 +156,7 @@ def series_of(
             direct_sigma=beam_sigma * beam if seen else None,
             station={"fwhm_nm": FILTER_FWHM_NM} | station,
             notes=notes,
-            # the sun at the zenith is no sun in radians
+            # a small zenith angle of the sun does not mean radians
             angles_known=True,
             instrument=instrument,
             follows_sun=True,
@@ -164,7 +166,7 @@ def series_of(
 
 
 def _scans(name, sweeps, notes) -> list[list[Sweep]]:
-    """Sweeps in time, cut where a while passes, the kind of scan changes or a wavelength comes again."""
+    """Divide the sweeps in time into scans: at a long gap, another kind of scan, or a repeated wavelength."""
     scans: list[list[Sweep]] = []
     repeats = 0
     for sweep in sorted(sweeps, key=lambda sweep: sweep.moment):
@@ -186,13 +188,13 @@ def _scans(name, sweeps, notes) -> list[list[Sweep]]:
 
 
 def _kept(scan: list[Sweep]) -> np.ndarray:
-    """The directions of which any filter has a sample; toward the sun itself there is no sky."""
+    """The directions at which any filter has a sample; there is no sky toward the sun itself."""
     seen = np.isfinite([sweep.radiance for sweep in scan]).any(axis=0)
     return np.flatnonzero(seen)
 
 
 def _sun_azimuth(sweeps: list[Sweep], station: dict[str, float], notes: list[str]) -> dict[int, float]:
-    """Of each sweep, degrees, as told, or by time and place; from the sun itself where there is no place."""
+    """The sun's azimuth of each sweep, degrees: as stated, by time and place, or a fixed one without a place."""
     if all(np.isfinite(sweep.sun_azimuth) for sweep in sweeps):
         return {id(sweep): sweep.sun_azimuth for sweep in sweeps}
     if not {"latitude", "longitude"} <= station.keys():

@@ -1,4 +1,4 @@
-"""From what a file says to a `Sky`: angles checked, samples screened, the sun placed."""
+"""Convert the contents of a file to a `Sky`: check angles, screen samples, place the sun."""
 
 from dataclasses import dataclass, field
 
@@ -17,27 +17,28 @@ _FILL = 1e30
 _SATURATED_RUN = 4
 # The widest zenith angle that could be pi/2 in radians, with room for rounding.
 _RADIAN_LIMIT = 1.6
-# W m^-2 nm^-1; the sun sends 2.3 at most at the top of the air, a few per cent more in January (ASTM G173)
+# largest beam, W m^-2 nm^-1; the sun sends 2.3 at most at the top of the air, a few per cent more in January (ASTM
+# G173)
 _BRIGHTEST_BEAM = 3.0
-# a wavelength past this is no nm: spectrometers of sky light end at 2500 nm, and 3000 angstrom is 300 nm
+# a wavelength past this is not in nm: spectrometers of sky light end at 2500 nm, and 3000 angstrom is 300 nm
 _LONGEST_NM = 2600.0
 
 
 @dataclass
 class Contents:
-    """What a reader found: file units (degrees), before any screening.
+    """The contents of a file as a reader finds them, in the file's units (degrees), before any screening.
 
     **Arguments** arrays as in `Sky`, angles in degrees; views may be NaN where a time has no samples, and views
-    [time, direction, wavelength] where the instrument moves between wavelengths; `station` holds
+    are [time, direction, wavelength] if the instrument moves between wavelengths; `station` holds
     numbers by the names latitude, longitude, altitude_m, pressure_pa, fwhm_nm, ozone_du, sun_distance_au; `made_by`:
     what made a simulated sky; `suspect` is True where masked, as is each of `reasons`;
-    `rows`: axis -> the row where each of its values first stands, for errors ("direction": in the shape of the views,
-    "sun": of the sun's angles, if not that of "time");
-    `angles_known`: the file said radians, so that no small angle is suspicious; `turned`: azimuths are in the
-    instrument's own frame. `direct`, `direct_sigma`: irradiance of the sun's beam and its standard deviation,
-    W m^-2 nm^-1, [time, wavelength]; `aerosol_depth`, `aerosol_depth_sigma` likewise;
-    `degree`, `degree_sigma`: of linear polarisation, as `radiance`. `response`: of the channels that
-    stand in the place of wavelengths. `instrument` and `follows_sun` as in `Sky`.
+    `rows`: axis -> the row where each of its values first appears, for errors ("direction": in the shape of the views,
+    "sun": rows of the sun's angles, if not those of "time");
+    `angles_known`: small angles are not suspicious, for instance because the file stated radians; `turned`: azimuths
+    are in the instrument's own frame. `direct`, `direct_sigma`: irradiance of the sun's beam and its standard
+    deviation, W m^-2 nm^-1, [time, wavelength]; `aerosol_depth`, `aerosol_depth_sigma`: optical depth of the haze and
+    its standard deviation, [time, wavelength]; `degree`, `degree_sigma`: degree of linear polarisation, in the shape of
+    `radiance`. `response`: that of the channels that replace wavelengths. `instrument` and `follows_sun` as in `Sky`.
     """
 
     name: str
@@ -71,13 +72,13 @@ class Contents:
 
 
 def screened(found: Contents) -> Sky:
-    """The `Sky` of what a file says: checked, screened, with the sun in place.
+    """The `Sky` of a file's contents: checked, screened, with the sun in place.
 
     **Arguments** `found`: the contents of the file.
 
     **Returns** a `Sky`; samples that cannot be used are masked and counted by reason.
 
-    **Valid** where an angle, a wavelength or the station makes no sense: `ValueError`.
+    **Valid** an angle, a wavelength or a station that makes no sense is a `ValueError`.
     """
     name = found.name
     _check_station(name, found.station)
@@ -139,7 +140,7 @@ def screened(found: Contents) -> Sky:
             calibration_sigma=found.calibration_sigma,
             masked=masked,
             reason=reason,
-            # A file that skyfit wrote already carries its notes: each is said once.
+            # A file that skyfit wrote already carries its notes: keep each once.
             notes=tuple(dict.fromkeys(found.notes)),
             source=name,
         )
@@ -148,7 +149,7 @@ def screened(found: Contents) -> Sky:
 
 
 def _check_beam(found, order):
-    """The sun's beam by wavelength, NaN where it is no irradiance; refused where no sun sends so much."""
+    """The sun's beam by wavelength, NaN where it is no irradiance; `ValueError` if no sun sends so much."""
     if found.direct is None:
         return None, None
     direct = np.array(found.direct[:, order], dtype=np.float64)
@@ -165,7 +166,7 @@ def _check_beam(found, order):
 
 
 def _signed(response):
-    """Whether the channels may read less than nothing: red, green and blue of a colour that no screen shows."""
+    """Whether the channels may read less than 0, like red, green and blue of a colour that no screen shows."""
     return response is not None and bool(np.any(response.weight < 0.0))
 
 
@@ -183,7 +184,7 @@ def screen(
     [direction], [time, direction] or [time, direction, wavelength]; `saturation`: the radiance at which the detector
     saturates, if known; `signed`: less than 0 is no error.
 
-    **Returns** radiance with NaN where not finite, `usable`, the counts, and of each sample which of them it is in.
+    **Returns** radiance with NaN where not finite, `usable`, the counts, and each sample's index among them, or -1.
     """
     radiance = np.array(radiance, dtype=np.float64)
     below = view_zenith_deg > 90.0
@@ -251,7 +252,7 @@ def _check_directions(found):
     azimuth = np.where(np.isnan(azimuth) & (zenith == 0.0), 0.0, azimuth)
     absent = np.zeros(zenith.shape, bool)
     if zenith.ndim >= 2:
-        # a scan that is shorter than the longest
+        # directions past the end of a scan that is shorter than the longest
         empty = np.isnan(found.radiance).all(axis=2)
         absent = np.isnan(zenith) & np.isnan(azimuth) & (empty if zenith.ndim == 2 else empty[..., None])
     for column, values, low, high in (
@@ -270,7 +271,7 @@ def _check_directions(found):
 
 
 def _row(found, axis, index):
-    """Where the value of an index first stands: a row of the file, or the index, after that of its time."""
+    """The place of a value for errors: the row where it first appears, or its index, after that of its time."""
     rows, index = found.rows.get(axis), np.atleast_1d(index)
     if rows is not None:
         return f"row {np.asarray(rows)[tuple(index)]}"
@@ -292,7 +293,7 @@ def _check_wavelengths(found):
         raise ValueError(f"{start} nm, found none past {np.max(wavelength):g}; are these {unit}?")
     if np.min(wavelength) > _LONGEST_NM:
         raise ValueError(f"{start} nm, found none below {np.min(wavelength):g}; are these angstrom?")
-    # channels stand in the order of their response
+    # channels keep the order of their response
     order = np.argsort(wavelength, kind="stable") if found.response is None else np.arange(len(wavelength))
     by_size = np.argsort(wavelength, kind="stable")
     same = np.flatnonzero(np.diff(wavelength[by_size]) == 0.0)
@@ -303,7 +304,7 @@ def _check_wavelengths(found):
 
 
 def _small_angles(found, zenith, azimuth, sun_zenith, sun_azimuth):
-    """Notes on degrees that look like radians, where a scan could also be one of a small part of the sky."""
+    """Yield notes on degrees that look like radians, if the scan could also be of a small part of the sky."""
     turn = 2.0 * np.pi + 0.01
     around = azimuth[zenith > 0.0]
     if not found.angles_known and len(np.unique(around)) > 3 and np.max(around) <= turn:
@@ -385,7 +386,7 @@ def _without_holes(angles, turns=False):
 
 
 def _mean_azimuth(angles):
-    """Over the last axis, of those that are known, degrees, also on both sides of north; NaN where none is."""
+    """The mean of the known azimuths over the last axis, degrees, also across north; NaN if none is known."""
     known = np.isfinite(angles)
     turned = np.exp(1j * np.deg2rad(np.where(known, angles, 0.0)))
     mean = np.rad2deg(np.angle(np.where(known, turned, 0.0).sum(axis=-1))) % 360.0

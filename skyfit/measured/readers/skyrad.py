@@ -1,4 +1,4 @@
-"""Scans of PREDE's sky radiometers as SKYRAD.pack writes them (SKYNET's `DT5`), with the calibration beside them."""
+"""Read scans of PREDE's sky radiometers in SKYRAD.pack's form (SKYNET's `DT5`), with the calibration beside them."""
 
 import re
 from dataclasses import dataclass
@@ -20,12 +20,13 @@ from .screening import screened
 _NUMBER = re.compile(r"[\s,]*([-+]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][-+]?\d+)?)")
 # SKYRAD writes wavelengths in cm
 _NM_PER_CM = 1e7
-# nm; a filter is the same one in both files
+# largest difference in nm of the same filter in both files
 _SAME_FILTER = 0.5
-# degrees: the first angle is toward the sun, views are of one kind of scan, angles below this are none (-99, -999)
+# degrees: largest distance of the first view from the sun, tolerance of a kind of scan, and angles up to which there is
+# none (-99, -999)
 _TOWARD, _SAME_ANGLE, _NO_ANGLE = 1.0, 0.5, -98.0
 _MOST_FILTERS, _MOST_VIEWS = 40, 1000
-# degrees; of a ship's way within a file more is said
+# degrees; a file whose place changes by more, as on a ship, gets a note
 _SAME_PLACE = 0.1
 # relative sigma: of the current outside the air by Langley's method, 0.5 to 2.4 % by Nakajima et al. 2020 (Atmos. Meas.
 # Tech. 13, 4195), and of that together with the solid angle, which is assumed
@@ -35,21 +36,21 @@ CALIBRATION_FILE = "ins.para"
 
 @dataclass
 class Records:
-    """The lines of a text as Fortran's free form reads them: each record begins a line and may go on over the next."""
+    """The lines of a text as Fortran's free form reads them: each record begins a line and may extend over the next."""
 
     name: str
     lines: list[str]
     row: int = 0
 
     def numbers(self, what: str, count: int) -> list[float]:
-        """The next `count` numbers; what else is on their last line is past. `ValueError` says what they should be."""
+        """The next `count` numbers; the rest of their last line is skipped. `ValueError` says what they should be."""
         found: list[float] = []
         start = self.row
         while len(found) < count:
             own, rest = leading(self.lines[self.row] if self.row < len(self.lines) else "the end of the file")
             found += own
             self.row += 1
-            # text may stand after the last number alone
+            # text may follow only the last number
             if rest and len(found) < count:
                 raise ValueError(
                     f"{self.name}: row {start + 1}: expected {count} numbers, {what}, found {len(found)}, then "
@@ -70,8 +71,11 @@ class Records:
 
 @dataclass
 class Scan:
-    """One scan of a file: `current` `[wavelength]` A of the sun's beam, as at 1 au; `ratio` `[direction, wavelength]`,
-    sr^-1, of a view's current to it over air mass and solid angle; `zenith`, `azimuth` from the sun, alike, degrees.
+    """One scan of a file.
+
+    `current` `[wavelength]`: current of the sun's beam, A, as at 1 au. `ratio` `[direction, wavelength]`: a view's
+    current over that of the beam, the air mass and the solid angle, sr^-1. `zenith`, `azimuth` (from the sun)
+    `[direction, wavelength]`: degrees.
     """
 
     row: int
@@ -88,8 +92,11 @@ class Scan:
 
 @dataclass
 class Calibration:
-    """What stands in `ins.para`: `solid_angle` sr; `outside` `[date, wavelength]` A, the currents outside the air at
-    1 au, NaN where not calibrated; `moment` `[date]` UTC."""
+    """The content of `ins.para`.
+
+    `solid_angle`: sr. `outside` `[date, wavelength]`: currents outside the air at 1 au, A, NaN where not calibrated.
+    `moment` `[date]`: UTC.
+    """
 
     name: str
     serial: str
@@ -120,7 +127,7 @@ def is_skyrad(lines: list[str]) -> bool:
 
 
 def read_skyrad(path: Path, station: dict[str, float]) -> Sky:
-    r"""A file of scans as SKYRAD.pack writes them as a `Sky`, with the sun's beam.
+    r"""Read a file of scans as SKYRAD.pack writes them as a `Sky`, with the sun's beam.
 
     $L = R m \frac{F}{F_0} \frac{E_0}{d^2}$, $E = \frac{F}{F_0} \frac{E_0}{d^2}$, $m = 1 / \cos\theta_s$
 
@@ -128,11 +135,12 @@ def read_skyrad(path: Path, station: dict[str, float]) -> Sky:
 
     - `path`: text; for each scan a date and hour, the longitude of its clock, longitude, latitude and altitude; number
       of views, sun's zenith angle, azimuth from south and distance; the wavelengths in cm; then for each view and
-      wavelength zenith angle, azimuth from the sun and R, of the first, toward the sun, its current F at 1 au. The
-      currents outside the air F0 stand in `ins.para` (or `ins.para.*`) in the same folder or in the one above
-    - `station`: numbers that stand instead of the file's own, by name
+      wavelength zenith angle, azimuth from the sun and R. The first view is toward the sun and has the sun's current F
+      at 1 au in place of R. The currents outside the air F0 are in `ins.para` (or `ins.para.*`) in the same folder or
+      in the one above
+    - `station`: numbers that replace the file's own, by name
 
-    **Returns** a `Sky` of the scans in time; E0 is the sun's spectrum through filters of 10 nm, or of the width told.
+    **Returns** a `Sky` of the scans in time; E0 is the sun's spectrum through filters of 10 nm, or of the width given.
 
     **Valid** 300-1100 nm, where the sun's spectrum is known; other wavelengths, and those without F0, are left out and
     named. A scan that does not begin toward the sun, or a file without its calibration, is a `ValueError`.
@@ -170,7 +178,7 @@ def _scan(records: Records) -> Scan:
     while not records.lines[records.row].strip():
         records.row += 1
     row = records.row + 1
-    # older files have the hour alone
+    # older files have only the hour, without minute and second
     parts = 7 if len(leading(records.lines[records.row])[0]) >= 7 else 4
     date = records.numbers("the date and hour of a scan", parts)
     clock, *place = records.numbers("longitudes of clock and place, latitude and altitude", 4)
@@ -178,14 +186,14 @@ def _scan(records: Records) -> Scan:
     (filters,) = records.numbers("number of wavelengths", 1)
     count, filters = _whole(records, count, _MOST_VIEWS), _whole(records, filters, _MOST_FILTERS)
     wavelength = _NM_PER_CM * np.array(records.numbers("wavelengths in cm", filters))
-    # names of the columns
+    # skip the names of the columns
     records.text()
     cells = [records.numbers(f"zenith angle, azimuth and R of view {view + 1} of {count} at {filters} wavelengths",
                              3 * filters) for view in range(count)]  # fmt: skip
     zeniths, azimuths, values = np.moveaxis(np.array(cells).reshape(count, filters, 3), 2, 0)
     lost = (zeniths <= _NO_ANGLE) | (np.abs(azimuths) > 540.0)
     zeniths, azimuths = np.where(lost, np.nan, zeniths), np.where(lost, np.nan, azimuths)
-    # beyond the zenith the vertical plane goes on
+    # negative zenith angles continue the vertical plane beyond the zenith
     azimuths = np.where(zeniths < 0.0, azimuths + 180.0, azimuths)
     zeniths = np.abs(zeniths)
     values = np.where(values > 0.0, values, np.nan)
@@ -300,7 +308,7 @@ def _known_filters(name: str, scans: list[Scan], beside: Calibration, notes: lis
 
 
 def _sweeps(scan: Scan, beside: Calibration, sunlight: dict[float, float]) -> list[Sweep]:
-    """A scan's filters, those of `sunlight` (W m^-2 nm^-1 at 1 au)."""
+    """The sweeps of a scan, one for each filter in `sunlight` (W m^-2 nm^-1 at 1 au)."""
     zenith, azimuth = scan.sun
     kind = _kind(scan)
     sweeps = []
@@ -311,7 +319,7 @@ def _sweeps(scan: Scan, beside: Calibration, sunlight: dict[float, float]) -> li
         beam = scan.current[w] / outside * sunlight[wavelength] / scan.distance_au**2
         placed = np.isfinite(scan.zenith[:, w]) & np.isfinite(scan.azimuth[:, w])
         radiance = np.where(placed, scan.ratio[:, w] * beam / np.cos(np.radians(zenith)), np.nan)
-        # a sample without a place is none: any place does
+        # a sample without a view is missing: any view will do
         view = np.where(placed, scan.zenith[:, w], zenith), np.where(placed, scan.azimuth[:, w], 0.0)
         sun = azimuth % 360.0, float(beam)
         sweeps.append(Sweep(scan.moment, wavelength, zenith, *view, radiance, kind, scan.row, *sun))

@@ -1,4 +1,4 @@
-"""Tidy CSV: one row is one sample."""
+"""Read tidy CSV, in which one row is one sample."""
 
 import csv
 from collections.abc import Iterator
@@ -27,10 +27,10 @@ _EMPTY = {
     **dict.fromkeys(("sun_zenith", "sun_azimuth"), np.nan),
     **dict.fromkeys(("direct_normal_irradiance", "direct_normal_irradiance_sigma", *DEGREE), np.nan),
 }
-# These say one thing per time and wavelength
+# These have one value per time and wavelength
 SUN = ("sun_zenith", "sun_azimuth")
 BEAM = ("direct_normal_irradiance", "direct_normal_irradiance_sigma")
-# a station that moves is none
+# these may not change within a file
 _OF_PLACE = ("latitude", "longitude")
 # A grid this large and this empty comes from samples that share no grid.
 _LARGEST_GRID = 20_000_000
@@ -38,22 +38,22 @@ _EMPTIEST_GRID = 100
 
 
 def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) -> Sky:
-    """A tidy CSV of sky radiance as a `Sky`.
+    """Read a tidy CSV of sky radiance as a `Sky`.
 
     **Arguments**
 
     - `path`: columns view_zenith, view_azimuth (degrees), wavelength (nm), radiance
       (W m^-2 sr^-1 nm^-1), or luminance (cd m^-2), alone or with x and y (CIE 1931), in place of the last two,
-      or normalized_radiance (pi L / E0), which units sr-1 of radiance (L / E0) say as well;
+      or normalized_radiance (pi L / E0) in place of radiance; radiance in sr-1 (L / E0) is normalised too;
       optionally time (ISO, UTC), sigma, suspect (1 = masked), quality_flag (0 = good, other masked),
       degree_of_polarisation and its `_sigma`, and, the same in all rows of a time and wavelength, sun_zenith,
       sun_azimuth, direct_normal_irradiance and its `_sigma` (W m^-2 nm^-1); lines `# key: value` above, or columns of
       one value, carry latitude, longitude, altitude_m, pressure_pa, fwhm_nm, ozone_du, sun_distance_au in the
-      spellings and units that `header` knows; lines alone units, saturation, notes, and time where no column does
-    - `station`: numbers that stand instead of the file's own, by name; `own_units`: those of channels, of any name
+      spellings and units that `header` knows; only lines carry units, saturation, notes, and time without a column
+    - `station`: numbers that replace the file's own, by name; `own_units`: units are those of channels, of any name
 
     **Returns** a `Sky`; directions are the union over times, with masked samples where absent, or those of each time
-    where that would leave half of the union or more without samples: of an almucantar, which moves with the sun.
+    if half of the union or more would have no samples, as for an almucantar, which moves with the sun.
 
     **Valid** a sample given twice, or text where a number belongs, is a `ValueError` with its row.
     """
@@ -130,7 +130,7 @@ def read_tidy(path: Path, station: dict[str, float], own_units: bool = False) ->
     if sun_rows is not None:
         first["sun"] = sun_rows[order]
     first["time"], view = first["time"][order], view if view.ndim == 1 else view[order]
-    # by a direction's first appearance at any time, which is where its angles are wrong first
+    # the row of a direction's first appearance at any time, where wrong angles appear first
     first["direction"] = first["direction"][view]
     zenith, azimuth = (np.where(view < 0, np.nan, angle[view]) for angle in views.T)
 
@@ -173,7 +173,7 @@ def read_directions(
 ) -> tuple[Float[np.ndarray, " direction"], Float[np.ndarray, " direction"]]:
     """View directions from a CSV with the columns view_zenith and view_azimuth in degrees.
 
-    **Arguments** `path`: the file; other columns are not looked at.
+    **Arguments** `path`: the file; other columns are ignored.
 
     **Returns** zenith and azimuth (clockwise from north), rad, [direction], in the file's order.
 
@@ -320,7 +320,7 @@ def _shared(name, lines, key, values, group, scope):
 
 
 def _sun(name, lines, number, index, shape):
-    """The sun's angles, `[time]`, or `[time, wavelength]` where it moves, NaN in holes, and then the rows of each."""
+    """The sun's angles, `[time]`, or `[time, wavelength]` if it moves, NaN in holes, and then the row of each."""
     grids = [_per_band(name, lines, key, number, index, shape) for key in SUN]
     grids = [np.full(shape[::2], np.nan) if grid is None else grid for grid in grids]
     known = [~np.isnan(grid) for grid in grids]
@@ -333,7 +333,7 @@ def _sun(name, lines, number, index, shape):
 
 
 def _per_band(name, lines, key, number, index, shape):
-    """A column of one number per time and wavelength, of such axes, NaN where the table has no row; None if absent."""
+    """A column of one number per time and wavelength on these axes, NaN where the table has no row; None if absent."""
     if key not in number:
         return None
     places, group = np.unique(index[0] * shape[2] + index[2], return_inverse=True)
@@ -353,7 +353,7 @@ def _check_grid(name, shape, count):
 
 
 def _of_file(head, lines, texts, others):
-    """The columns that say one thing of the station in all rows, which `head` takes; not `others`."""
+    """The columns with one value of the station in all rows, which `head` takes, without those in `others`."""
     taken = []
     for key in texts:
         quantity = quantity_of(key)
@@ -363,7 +363,7 @@ def _of_file(head, lines, texts, others):
         if quantity[0] in _OF_PLACE:
             _shared(head.name, lines, key, values, np.zeros(len(lines), int), "file")
         first = values[0]
-        # a pressure of each row is not one of the file
+        # a pressure that varies between rows is not that of the file
         if np.all((values == first) | np.isnan(values) & np.isnan(first)):
             taken.append(key)
             if np.isfinite(first):
@@ -380,7 +380,7 @@ def _coloured(head, colours, number):
 
 
 def _share(head, own, normalised):
-    """Of the sun's irradiance, where that is what the samples are of; None where they are in a unit of their own."""
+    """The factor of samples that are a share of the sun's irradiance; None if they are in a unit of their own."""
     text, place = (None, "") if head.units is None else head.units
     try:
         return None if own else share_of(text, normalised)
@@ -389,7 +389,7 @@ def _share(head, own, normalised):
 
 
 def _units(head, channels, own):
-    """The factor of the units that a file says it has, a note where they are converted, and the eye's response."""
+    """The factor of the units that a file states, a note on conversion, and the eye's response for luminance."""
     if head.units is None:
         return 1.0, [], None
     text, place = head.units

@@ -1,4 +1,4 @@
-"""NetCDF: time, direction, wavelength or channel."""
+"""Write NetCDF along time, direction, and wavelength or channel."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,7 @@ from ..units import IRRADIANCE, LUMINANCE, RADIANCE
 
 
 _PLACES = ("view_zenith", "view_azimuth")
-# NumPy's and xarray's whole number for a time that is not known
+# the integer with which NumPy and xarray mark an unknown time
 _NO_TIME = np.iinfo(np.int64).min
 
 
@@ -22,7 +22,7 @@ def write_netcdf(sky: Sky, path: Path) -> None:
     **Arguments** `path`: the file; written in place, see `writing.atomic`.
     """
     require("h5netcdf", "h5py")
-    # xarray would bring pandas along, longer than all the rest of the writing
+    # xarray would import pandas, which takes longer than all the rest of the writing
     import h5netcdf
 
     whole = axes(sky)
@@ -84,7 +84,7 @@ def write_netcdf(sky: Sky, path: Path) -> None:
 
 
 def _put(file, name: str, axes: tuple[str, ...], values: np.ndarray, about: dict, packed: bool) -> None:
-    """One variable; a field over all axes is compressed and says where its directions stand."""
+    """Write one variable; a packed one is compressed, and one with directions names their coordinates."""
     import h5py
 
     missing = np.nan if values.dtype.kind == "f" else None
@@ -97,7 +97,7 @@ def _put(file, name: str, axes: tuple[str, ...], values: np.ndarray, about: dict
 
 
 def _moments(time: np.ndarray) -> tuple[np.ndarray, dict]:
-    """Times as whole numbers and what they count: seconds, or nanoseconds where those are not whole; NaT as NumPy's."""
+    """Times as integers, with their unit: seconds, or nanoseconds if those are not whole; NaT is NumPy's integer."""
     nanoseconds = time.astype("datetime64[ns]").astype(np.int64)
     known = nanoseconds != _NO_TIME
     whole = not np.any(nanoseconds[known] % 1_000_000_000)
@@ -112,12 +112,12 @@ def axes(sky: Sky) -> tuple[str, str, str]:
 
 
 def degrees(radians: np.ndarray) -> np.ndarray:
-    """Degrees, rounded to 1e-10 so that a written angle reads as it was typed."""
+    """Degrees, rounded to 1e-10 so that a written angle reads back as it was typed."""
     return np.round(np.rad2deg(radians), 10)
 
 
 def attributes(sky: Sky) -> dict[str, float]:
-    """The station, line shape, calibration and tracking of `sky`, by their names in files; what is NaN is left out."""
+    """The station, line shape, calibration and tracking of `sky`, by their names in files; NaN is left out."""
     values = {
         "latitude": sky.latitude_deg,
         "longitude": sky.longitude_deg,

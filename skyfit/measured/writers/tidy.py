@@ -1,4 +1,4 @@
-"""Tidy CSV: one row is one sample."""
+"""Write tidy CSV, in which one row is one sample."""
 
 import csv
 import json
@@ -13,11 +13,11 @@ from .netcdf import attributes, degrees
 
 
 def write_tidy(sky: Sky, path: Path) -> None:
-    """Write `sky` as the tidy CSV that `read_tidy` reads; a sample that is NaN has no number.
+    """Write `sky` as the tidy CSV that `read_tidy` reads; a sample that is NaN has an empty cell.
 
     **Arguments** `path`: the file; written in place, see `writing.atomic`.
 
-    **Valid** times that are known and differ, unless there is one; directions that differ.
+    **Valid** times that are known and differ, unless there is only one; directions that differ.
     """
     by_unit = sky.response is not None and sky.response.by_unit
     if sky.response is not None and not by_unit:

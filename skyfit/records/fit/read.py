@@ -1,4 +1,4 @@
-"""The fitted skies of a record."""
+"""Rebuild the fitted skies from a record."""
 
 import os
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from .schema import is_number, parse, shown
 
 
 def rebuilt(record: dict) -> Fitted:
-    """The fitted skies of a record of the form in `record_form`; a `ValueError` names the key that cannot be."""
+    """The fitted skies of a record of the form in `schema`; a `ValueError` names the key that is wrong."""
     free, shared, times = record["free"], record["shared"]["parameters"], record["times"]
     if not times:
         raise ValueError("key `times`: expected an entry or more, found none")
@@ -53,7 +53,7 @@ def _response(about: dict | None) -> Response | None:
 
 
 def _calibration(about: dict, times: int, channels: bool):
-    """The fitted wavelengths, or what channels are called, and the instrument's scale, `[time, wavelength]`."""
+    """The fitted wavelengths, or the channels' labels, and the instrument's scale, `[time, wavelength]`."""
     wavelength, rows = np.array(about["wavelength_nm"], float), about["scale"]
     if wavelength.size == 0 or not (channels or np.all(np.diff(wavelength) > 0.0)):
         raise ValueError(
@@ -67,7 +67,7 @@ def _calibration(about: dict, times: int, channels: bool):
 
 
 def _with_fixed(model, fixed: dict):
-    """The model with what is fixed of the instrument; what is fixed of the atmosphere it must have already."""
+    """Set the fixed parameters of the instrument; the model must have those of the atmosphere already."""
     own = values_of(model, fixed)
     for name, entry in fixed.items():
         if PARAMETERS[name].of_instrument:
@@ -98,7 +98,7 @@ def _check_parameters(key: str, entries: dict, expected: set[str], fitted: bool 
         parameter, value, unit = PARAMETERS[name], entries[name]["value"], entries[name]["unit"]
         if unit != parameter.unit:
             raise ValueError(f"key `{key}.{name}.unit`: expected {shown(parameter.unit)}, found {shown(unit)}")
-        # rounding may put a fitted value a little outside
+        # rounding may put a fitted value slightly outside
         slack = 1e-5 * (parameter.upper - parameter.lower)
         if fitted and not parameter.lower - slack <= value <= parameter.upper + slack:
             raise ValueError(
@@ -135,12 +135,12 @@ def _solver(record: dict) -> AbstractSolver:
 
 
 def load(path: str | os.PathLike) -> Fitted:
-    """The fitted skies of a file that `save` wrote, for `skyfit.predict`.
+    """Load the fitted skies of a file that `save` wrote, for `skyfit.predict`.
 
-    **Arguments:** `path`, a JSON file of the form that `record_form` documents.
+    **Arguments:** `path`, a JSON file of the form that `skyfit.records.fit.schema` documents.
     **Returns:** a `Fitted`, with values in the process's default float type.
-    **Valid:** constituents, phase functions and profiles of skyfit's own (`skyfit.atmosphere.CONSTITUENTS`).
-    **Errors:** a one-line `ValueError` that names the file and the key for everything else.
+    **Valid:** skyfit's own constituents, phase functions and profiles (`skyfit.atmosphere.CONSTITUENTS`).
+    **Errors:** a one-line `ValueError` that names the file and the key for any other content.
 
     **Example:**
 

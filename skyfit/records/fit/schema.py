@@ -1,10 +1,10 @@
 r"""The form of a fit's JSON record, and the check that a file has it.
 
-`skyfit.save(fit, "*.json")` writes strict JSON (UTF-8; what is not finite is null) of the schema
+`skyfit.save(fit, "*.json")` writes strict JSON (UTF-8; numbers that are not finite are null) of the schema
 "skyfit.fit", version 5. Angles are in degrees, azimuth clockwise from north; a value has its unit beside it.
 
     schema, version       "skyfit.fit", 5
-    skyfit_version        of the package that wrote the file, or null
+    skyfit_version        version of the package that wrote the file, or null
     source                name of the measured file
     solver                name: class in skyfit.transport; then all its settings by name
     geometry              "flat" or "spherical", that of the solver
@@ -13,45 +13,45 @@ r"""The form of a fit's JSON record, and the check that a file has it.
       response            null, or names, wavelength_nm and weight [channel][wavelength]: the samples are channels
     station               latitude_deg, longitude_deg, altitude_m, pressure_pa, ozone_du, sun_distance_au
                           (the last two not in older files); null where unknown
-    atmosphere            where the fit began, as skyfit/atmosphere/description.py documents: constituents by name with
-                          kind and every number, and ground; what is free has its first guess here
+    atmosphere            the start of the fit, as skyfit/atmosphere/description.py documents: constituents by name with
+                          kind and every number, and ground; free parameters have their start values here
     measurement           relative, floor, calibration (null: by the file, else the default), model_error,
                           field_of_view_deg, loss, threshold, level, colour, pointing_deg, broad_level,
                           broad_colour (null: estimated) and time_level as in skyfit.NoiseModel;
-                          calibration_prior: sigma of each wavelength's scale that the fit took, 0: exact
+                          calibration_prior: prior sigma of each wavelength's scale in the fit, 0: exact
     priors                name: {value, sigma, unit}
     smooth                name: {sigma_per_hour, unit}; of a positive parameter that of its logarithm, unit "1"
     free                  names of the fitted parameters, in the order of each correlation matrix
-    shared                what all times have in common
+    shared                parameters that all times have in common
       parameters          name: {value, unit, sigma, model_sigma, jackknife_sigma (or null), at_bound, determined}
       correlation         [parameter][parameter] of these alone, in the order of `free`
-    fixed                 name: {value, unit}, those of the atmosphere as it stands above
+    fixed                 name: {value, unit}; values of the atmosphere equal those above
     calibration           the instrument's scale at the fitted wavelengths; 1 and sigma 0 where it was not fitted
       wavelength_nm       [wavelength]
-      scale, sigma        [time][wavelength], of one row where all times share it
-    times                 one entry a time
+      scale, sigma        [time][wavelength], one row if all times share it
+    times                 one entry for each time
       time                ISO 8601 in UTC, or null
-      sun_zenith_deg, sun_azimuth_deg                   the mean, where they differ between wavelengths
-      parameters          those of this time alone, as in shared; sigma holds model_sigma, the model's error
-      correlation         [parameter][parameter] of all that are free
-      haze                name: {value, sigma, unit} of what skyfit.aerosol_optics says follows from the parameters
+      sun_zenith_deg, sun_azimuth_deg                   the mean, if they differ between wavelengths
+      parameters          those of this time alone, as in shared; sigma includes model_sigma, the model's error
+      correlation         [parameter][parameter] of all free parameters
+      haze                name: {value, sigma, unit} of the optics that skyfit.aerosol_optics derives
       result, steps       how the solve ended, and after how many steps
       rmse, rmse_unit     over the usable samples
-      samples             how many those are
-      masked              reason: count of the others
+      samples             number of the usable samples
+      masked              reason: count of the other samples
       reduced_chi_square  by the stated noise
       noise               the errors of this time as the residuals show them
-        sample            each sample's own, in the stated noise
-        level, colour, pointing_deg    what all wavelengths of a direction share: relative, and where it looked
-        broad_level, broad_colour      relative, what a broad part of the sky shares
-        widening          by how much sigma is more, because samples are trusted less
-        share             of sample, level, colour, pointing, broad_level, broad_colour in the squares of all
-        spectral_correlation, angular_correlation      of what is left, with the next wavelength and direction
+        sample            each sample's own error, over the stated noise
+        level, colour, pointing_deg    errors that all wavelengths of a direction share: relative, and of the view
+        broad_level, broad_colour      relative errors that a broad part of the sky shares
+        widening          factor by which sigma is larger, because samples are trusted less
+        share             of sample, level, colour, pointing, broad_level, broad_colour in the sum of squares
+        spectral_correlation, angular_correlation      of whitened residuals, with the next wavelength and direction
       beam                the direct beam, or []: wavelength_nm, residual (model minus measured, over sigma)
       degrees_of_freedom  how many parameters the data, not the priors, determine
-      rejected            directions that the loss trusts less than half: view_zenith_deg, view_azimuth_deg,
+      rejected            directions of a mean weight below one half: view_zenith_deg, view_azimuth_deg,
                           weight (mean over wavelengths)
-      undetermined        sentences on what the data leave open
+      undetermined        sentences on what the data do not determine
     total_rmse            over the usable samples of all times, in rmse_unit
     notes                 sentences on the file and the fit
 """
@@ -71,7 +71,7 @@ _FITTED = {
     "determined": _FLAG,
 }  # fmt: skip
 _SHARED_NOISE = "level", "colour", "pointing_deg", "broad_level", "broad_colour"
-# a dict lists the keys that must be there; one of `_ANY` holds any keys, each of that form
+# a dict lists the required keys; a dict with the key `_ANY` stands for any keys, each of that form
 _ANY = "*"
 _FORM = {
     "schema": _TEXT,
@@ -128,10 +128,10 @@ _FORM = {
 
 
 def parse(path: Path) -> dict:
-    """The record in a file.
+    """Read the record in a file.
 
     **Arguments:** `path`, a JSON file.
-    **Returns:** the record, of the form above throughout; a further key is let through.
+    **Returns:** the record, of the form above throughout; further keys are accepted.
     **Errors:** `ValueError` that names the first key that is not of the form.
     """
 
@@ -182,7 +182,7 @@ def _check(value, form, key: str) -> None:
 
 def is_number(value) -> bool:
     """Whether a value of the record is a finite number."""
-    # an integer beyond the largest float is none
+    # an integer beyond the largest float counts as infinite
     return type(value) in (int, float) and abs(value) < 1.7e308
 
 

@@ -1,4 +1,4 @@
-"""What a fit says, as the record that `record_form` documents."""
+"""Write a fit as the record that `schema` documents."""
 
 import json
 import math
@@ -22,7 +22,7 @@ from .schema import SCHEMA, VERSION
 
 
 def record_of(fit: Fit) -> dict:
-    """The record of a fit, in Python's and NumPy's types; what is not finite stands as it is."""
+    """The record of a fit, in Python's and NumPy's types; numbers that are not finite stay so."""
     sky, solver, given = fit.sky, fit.solver, fit.measurement
     common, optics = [p for p, name in enumerate(fit.free) if name in fit.shared], aerosol_optics(fit)
     return {
@@ -83,7 +83,7 @@ def _scale_unit(name: str) -> str:
 
 
 def _once(rows: np.ndarray) -> np.ndarray:
-    """The rows of all times, or one where all are the same."""
+    """The rows of all times, or one row if all are equal."""
     return rows[:1] if np.array_equal(rows, np.broadcast_to(rows[:1], rows.shape), equal_nan=True) else rows
 
 
@@ -173,7 +173,7 @@ def _iso(time: np.datetime64) -> str | None:
     return str(whole if whole == time else time) + "Z"
 
 
-# numbers of `gain` that a file holds
+# largest number of values of `gain` that a file holds
 _MOST_GAIN = 2_000_000
 
 
@@ -203,7 +203,7 @@ def save(fit: Fit, path: str | os.PathLike) -> None:
 def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) -> None:
     """Write predicted radiance on a sky's times, directions and wavelengths, as `skyfit.read` reads it.
 
-    **Arguments:** `sky`, the places and times; `radiance`, W m^-2 sr^-1 nm^-1, `[time, direction,
+    **Arguments:** `sky`, the times, directions and wavelengths; `radiance`, W m^-2 sr^-1 nm^-1, `[time, direction,
     wavelength]`, NaN where there is none; `path`, `*.nc` (or `*.csv`, a tidy table).
     **Valid:** a failure leaves no file and keeps an old one.
     """
@@ -247,7 +247,7 @@ def _write_json(fit: Fit, part: Path) -> None:
 
 
 def _strict(value):
-    """The value in Python's own types, with None for what is not finite."""
+    """The value in Python's own types, with None for numbers that are not finite."""
     if isinstance(value, dict):
         return {key: _strict(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
