@@ -4,7 +4,7 @@
 
 Each retrieval states dV/dlnr at 22 radii, the index at four wavelengths, and the optical depth, the single scattering
 albedo and the asymmetry that the network's kernels make of them. The index of each wavelength is set as it stands, so
-that what differs is the kernels, the bells in place of the network's straight lines between radii, the rounding of
+that what differs is the kernels, the Gaussians in place of the network's straight lines between radii, the rounding of
 printed numbers and, for particles that are no spheres, the shape. FILE is a list of records with `site`, `date`,
 `time`, `source`, `wavelength_nm`, `aod`, `ssa`, `asymmetry`, `n`, `k`, `dvdlnr` and, where known,
 `sphericity_percent` or `depolarization_ratio` (at the wavelengths): no network's data is kept here. Spheres are what
@@ -40,7 +40,7 @@ def optics_of(bins, n, k, wavelength_nm):
     """Optical depth, albedo and asymmetry at each wavelength, each with the index that is stated there."""
 
     def at(n, k, wavelength):
-        haze = skyfit.BinnedAerosol(bins, n, absorption_index=k)
+        haze = skyfit.BinnedAerosol(bins, refractive_index=n, absorption_index=k)
         spectrum = wavelength[None]
         moments = haze.phase.moments(2, spectrum)
         return haze.optical_depth_at(spectrum)[0], haze.single_scattering_albedo_at(spectrum)[0], moments[1].reshape(())
@@ -67,7 +67,8 @@ def by_miepython(bins, n, k, wavelength_nm):
 
 def row_of(one: dict) -> dict:
     wavelength, bins, n, k = (np.asarray(one[name], float) for name in ("wavelength_nm", "dvdlnr", "n", "k"))
-    found = np.asarray(optics_of(*(jnp.asarray(v) for v in (bins, n, k, wavelength))))
+    haze = skyfit.BinnedAerosol.from_size_distribution(one["radius_um"], bins)
+    found = np.asarray(optics_of(haze.bins, *(jnp.asarray(v) for v in (n, k, wavelength))))
     stated = np.array([one["aod"], one["ssa"], one["asymmetry"]], float)
     try:
         lines = by_miepython(bins, n, k, wavelength)

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
-from ..numerics import as_float, within
+from ..numerics import as_float, check_range, within
 from .constituent import AbstractConstituent
 from .mie import TwoModeAerosol
 from .phase import REFERENCE_WAVELENGTH
@@ -21,6 +21,8 @@ from .sphere_kernels import AbstractSpherePhase, class_weights, KNOWN_N, KNOWN_N
 BIN_RADII = np.geomspace(0.05, 15.0, 22)
 # Distance of the bins in ln r, and the width of their Gaussians: equal bins then add up to a constant within 1e-8
 _STEP = float(np.log(BIN_RADII[1] / BIN_RADII[0]))
+# Places in ln r at which bins are fitted to a stated distribution: eight for each bin
+_PLACES = np.linspace(np.log(BIN_RADII[0]), np.log(BIN_RADII[-1]), 8 * (BIN_RADII.size - 1) + 1)
 # Smallest volume over radius that counts as aerosol, um^2/um^2
 _NO_VOLUME = 1e-12
 # Candidate radii for AERONET's separation of fine from coarse (Version 3), um: it is at the minimum of dV/dlnr
@@ -132,6 +134,40 @@ class BinnedAerosol(AbstractConstituent):
         bins = jnp.exp(-0.5 * away**2) @ (haze.volumes / (width * np.sqrt(2.0 * np.pi)))
         # pyright mistakes the inherited, abstract `phase` for an argument
         return cls(bins, haze.refractive_index, absorption_index=haze.absorption_index, profile=haze.profile)  # pyright: ignore
+
+    @classmethod
+    def from_size_distribution(
+        cls, radius_um: Float[ArrayLike, " radius"], volume: Float[ArrayLike, " radius"], **settings
+    ) -> "BinnedAerosol":
+        """The bins that come nearest to a stated size distribution, taken as straight lines between its radii.
+
+        **Arguments:** `radius_um`, increasing, at least two; `volume`, dV/dlnr of the column there, um^3/um^2, 0 beyond
+        the ends; `settings`, the other fields. **Returns:** a haze of the same volume within what bells can follow.
+        **Valid:** for a network's 22 radii the single scattering albedo is within 0.0005 of exact Mie theory for the
+        same lines, the asymmetry within 0.001, the optical depth within 0.3 % (experiments/results/closure.json).
+        **Errors:** `ValueError` for radii that do not increase, negative volumes, or arrays of different lengths.
+
+        **Example:**
+
+            >>> fine = [0.1, 0.15, 0.25], [0.0, 0.05, 0.0]
+            >>> haze = skyfit.BinnedAerosol.from_size_distribution(*fine, refractive_index=1.45)
+            >>> round(float(haze.volumes.sum()), 3)
+            0.022
+        """
+        from scipy.optimize import nnls
+
+        radius, volume = np.asarray(radius_um, float), np.asarray(volume, float)
+        if radius.ndim != 1 or radius.size < 2 or radius.shape != volume.shape:
+            given = f"{radius.shape} and {volume.shape}"
+            raise ValueError(f"`radius_um` and `volume` must be 1-d, of one length, 2 at least, got {given}")
+        check_range("radius_um", radius, 1e-3, 1e3, "um")
+        check_range("volume", volume, 0.0, 1e3, "um3/um2")
+        if np.any(np.diff(radius) <= 0.0):
+            raise ValueError("`radius_um` must increase")
+        away = (_PLACES[:, None] - np.log(BIN_RADII)[None]) / _STEP
+        lines = np.interp(_PLACES, np.log(radius), volume, left=0.0, right=0.0)
+        bins, _ = nnls(np.exp(-0.5 * away**2) / np.sqrt(2.0 * np.pi), lines)
+        return cls(bins, **settings)
 
     @property
     def _sizes(self) -> _Sizes:
