@@ -28,9 +28,12 @@ LONGEST = (
 # memory maps of a process, of which Linux allows 65530: each program holds some fifty
 MOST_MAPS = 40_000
 MAPS = Path("/proc/self/maps")
+# files and names of the tests whose types have been checked
+CHECKED: set[tuple[Path, str]] = set()
 
 
-# compilation is most of the time of a test: programs that run a few times are hardly worth optimising
+# programs run a few times, so that compilation is most of the time of a test; these run for longer
+LONG_RUNS = ("test_recovery", "test_error_bars", "test_image", "test_readme")
 FLAGS = ["--xla_backend_optimization_level=1"]
 if version("jaxlib") == "0.10.2":
     # as the command line does
@@ -112,10 +115,17 @@ def skyfit_command(python: Callable) -> Callable:
 
 
 @pytest.fixture(autouse=True)
-def checked_unless_slow(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Slow tests call what the others call: types and shapes, a sixth of a test's time, are checked in the others."""
+def checked_once(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Types and shapes, a sixth of a test's time, are checked in the first case of each test that is not slow.
+
+    Its other cases, and slow tests, call what these call.
+    """
+    test = request.node.path, getattr(request.node, "originalname", request.node.name)
+    unchecked = request.node.get_closest_marker("slow") is not None or test in CHECKED
+    if not unchecked:
+        CHECKED.add(test)
     before = jaxtyping.config.jaxtyping_disable
-    jaxtyping.config.update("jaxtyping_disable", before or request.node.get_closest_marker("slow") is not None)
+    jaxtyping.config.update("jaxtyping_disable", before or unchecked)
     yield
     jaxtyping.config.update("jaxtyping_disable", before)
 
@@ -136,9 +146,8 @@ def few_programs() -> Iterator[None]:
         gc.collect()
 
 
-@pytest.fixture(scope="module")
-def haste() -> Iterator[None]:
-    """Programs are compiled without optimising: compilation is most of the time of fits to small skies."""
-    jax.config.update("jax_disable_most_optimizations", True)
+@pytest.fixture(scope="module", autouse=True)
+def hasty(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Programs are compiled without optimising, but for the files of long runs."""
+    jax.config.update("jax_disable_most_optimizations", request.path.stem not in LONG_RUNS)
     yield
-    jax.config.update("jax_disable_most_optimizations", False)

@@ -1,7 +1,7 @@
 """Skies and solvers that the tests of the solver floor share."""
 
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import equinox as eqx
 import jax
@@ -46,8 +46,6 @@ KINDS = {
     "uniform": {"flat": Uniform()},
 }  # fmt: skip
 SOLVERS = {f"{name} {geometry}": kind[geometry] for name, kind in KINDS.items() for geometry in kind}
-# compilation is most of the time of these tests: programs that run once are not worth optimising
-HASTE = {"xla_backend_optimization_level": 0}
 
 
 def slow(*values):
@@ -140,14 +138,14 @@ def slopes_of(field, count):
     """
     unit, nothing = jnp.eye(count), jnp.zeros((count, count))
 
-    @partial(jax.jit, compiler_options=HASTE)
+    @jax.jit
     def along(points, directions):
         return jax.lax.map(lambda item: jax.jvp(field, item[:1], item[1:]), (points, directions))
 
     points = jnp.concatenate([1e-5 * unit, -1e-5 * unit, nothing])
     values, slopes = map(np.asarray, along(points, jnp.concatenate([unit] * 3)))
 
-    @partial(jax.jit, compiler_options=HASTE)
+    @jax.jit
     def back(point):
         return jax.grad(lambda p: jnp.sum(weights_of(values[0]) * field(p)))(point)
 
@@ -165,7 +163,7 @@ def compiled_sky(name, atmosphere, sun, zenith, azimuth):
         def sky(atmosphere, sun, zenith, azimuth):
             return sky_of(SOLVERS[name], skyfit.Directions(zenith, azimuth))(atmosphere, sun)
 
-        SKIES[key] = jax.jit(sky, compiler_options=HASTE)
+        SKIES[key] = jax.jit(sky)
     zenith, azimuth = (np.ravel(v) for v in np.broadcast_arrays(zenith, azimuth))
     padded = (jnp.asarray(np.pad(v, (0, 9 - len(zenith)), "edge"), float) for v in (zenith, azimuth))
     atmosphere = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), atmosphere)

@@ -16,7 +16,6 @@ from skyfit.light import extraterrestrial_irradiance
 from skyfit.retrieve import SkyModel
 
 
-pytestmark = pytest.mark.usefixtures("haste")
 SPHERES = ("aerosol_optical_depth", "fine_fraction", "fine_radius")
 TRUTH = {"aerosol_optical_depth": 0.25, "fine_fraction": 0.8, "fine_radius": 0.18}
 

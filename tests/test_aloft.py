@@ -9,7 +9,6 @@ from scipy.integrate import quad
 from skies import (
     COLOURS,
     EARTH_RADIUS,
-    HASTE,
     haze_over_air,
     hazy,
     ONE,
@@ -302,8 +301,8 @@ def program(reverse):
         return jnp.stack(sky_from(SingleScattering(6), atmosphere, height, sun, *DIRECTIONS, jnp.full(9, distance)))
 
     if reverse:
-        return jax.jit(jax.grad(lambda p, d: jnp.sum(field(p, d))), compiler_options=HASTE)
-    return jax.jit(lambda p, d: (field(p, d), jax.jacfwd(field)(p, d)), compiler_options=HASTE)
+        return jax.jit(jax.grad(lambda p, d: jnp.sum(field(p, d))))
+    return jax.jit(lambda p, d: (field(p, d), jax.jacfwd(field)(p, d)))
 
 
 @pytest.mark.parametrize(
@@ -343,9 +342,9 @@ def test_gradients_aloft_are_central_differences(x64, height, sun):
 
     zero = jnp.zeros(len(leaves))
     step = 1e-6 * jnp.eye(len(leaves))
-    around = jax.jit(lambda s: jax.lax.map(field, s), compiler_options=HASTE)(jnp.concatenate([step, -step]))
+    around = jax.jit(lambda s: jax.lax.map(field, s))(jnp.concatenate([step, -step]))
     central = (around[: len(leaves)] - around[len(leaves) :]) / 2e-6
-    slopes = jnp.moveaxis(jax.jit(jax.jacfwd(field), compiler_options=HASTE)(zero), -1, 0)
+    slopes = jnp.moveaxis(jax.jit(jax.jacfwd(field))(zero), -1, 0)
     for part, name in enumerate(("transmittance", "inscatter")):
         largest = float(jnp.max(jnp.abs(central[:, part])))
         np.testing.assert_allclose(slopes[:, part], central[:, part], atol=1e-5 * largest, err_msg=name)

@@ -12,7 +12,6 @@ import numpy as np
 import optimistix as optx
 import pytest
 import scipy.optimize
-from skies import HASTE
 
 from skyfit.numerics.chain import (
     Blocks,
@@ -100,7 +99,7 @@ class Answers(NamedTuple):
     blocks: Blocks
 
 
-@partial(jax.jit, compiler_options=HASTE)
+@jax.jit
 def answers(blocks: Blocks) -> Answers:
     length = column_norms(blocks)
     # an unknown without influence has a strength, all others next to none
@@ -263,7 +262,7 @@ def test_the_work_grows_linearly_with_the_number_of_times():
 # the search
 
 
-@partial(jax.jit, static_argnums=2, compiler_options=HASTE)
+@partial(jax.jit, static_argnums=2)
 def boxed(blocks: Blocks, limit, max_steps=100):
     """Rows that are linear everywhere, in units of a small sigma: the search goes on to the very minimum."""
 

@@ -15,7 +15,6 @@ from skyfit.records import load, save, write_prediction
 from skyfit.retrieve import predict, start_model, with_values
 
 
-pytestmark = pytest.mark.usefixtures("haste")
 SOLVER = skyfit.SingleScattering.draft("flat")
 FREE = ("turbidity", "asymmetry")
 XYZ = skyfit.Response.xyz()

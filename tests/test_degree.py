@@ -85,7 +85,7 @@ def test_degrees_read_are_those_of_a_closed_form_and_their_slopes_are_finite(x64
     assert np.all(np.isfinite(slope)) and np.abs(slope[2]).min() > 0.0
 
 
-def test_degrees_determine_what_the_radiance_does_not(x64, haste, sky):
+def test_degrees_determine_what_the_radiance_does_not(x64, sky):
     start = SkyModel(atmosphere(0.3, 0.3))
     settings = {"solver": SOLVER, "start": start, "measurement": OWN_NOISE, "guess": False}
     fit = skyfit.invert(sky, FREE, **settings)

@@ -8,7 +8,6 @@ import pytest
 from skies import (
     COLOURS,
     compiled_sky,
-    HASTE,
     hazy,
     names_of,
     SKIES,
@@ -137,7 +136,7 @@ def test_a_batch_of_skies_is_the_loop_over_them(name):
     zenith, azimuth = np.linspace(0.1, 1.5, 9), np.linspace(0.0, 3.0, 9)
     atmospheres, suns = [hazy(haze=0.1), hazy(haze=0.4, ground=0.5)], [0.5, 1.2]
     loop = np.stack([compiled_sky(name, a, s, zenith, azimuth) for a, s in zip(atmospheres, suns, strict=True)])
-    batch = jax.jit(jax.vmap(sky_of(SOLVERS[name], skyfit.Directions(zenith, azimuth))), compiler_options=HASTE)(
+    batch = jax.jit(jax.vmap(sky_of(SOLVERS[name], skyfit.Directions(zenith, azimuth))))(
         jax.tree.map(lambda *leaves: jnp.stack(leaves), *atmospheres), jnp.array(suns)
     )
     np.testing.assert_allclose(batch, loop, rtol=3e-5)

@@ -8,7 +8,6 @@ import pytest
 from skies import (
     COLOURS,
     compiled_sky,
-    HASTE,
     hazy,
     names_of,
     ONE,
@@ -87,7 +86,7 @@ def hard_program(solver, reverse):
         slopes, found = jax.grad(total, has_aux=True)(parameters)
         return found, {"all": slopes}
 
-    return jax.jit(backward if reverse else forward, compiler_options=HASTE)
+    return jax.jit(backward if reverse else forward)
 
 
 def problems_of_hard_cases(solver, dtype, reverse=False):

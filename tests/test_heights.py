@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from skies import COLOURS, HASTE, haze_over_air, hazy, ONE, slow, SMALL, SOLVERS, unit_scene, views
+from skies import COLOURS, haze_over_air, hazy, ONE, slow, SMALL, SOLVERS, unit_scene, views
 
 import skyfit
 from skyfit.atmosphere import Exponential, Ground, HenyeyGreenstein, Layered, Prescribed, RayleighPhase
@@ -39,7 +39,7 @@ def light(solver, atmosphere, height, sun_deg=50.0, zenith_deg=ZENITH, azimuth_d
         found = solver.stokes(atmosphere, scene)
         return jnp.stack([found.radiance, found.q, found.u])
 
-    program = PROGRAMS.setdefault((solver, jnp.result_type(float)), jax.jit(seen, compiler_options=HASTE))
+    program = PROGRAMS.setdefault((solver, jnp.result_type(float)), jax.jit(seen))
     sun, zenith, azimuth = (jnp.asarray(np.radians(v), float) for v in (sun_deg, zenith_deg, azimuth_deg))
     height = None if height is None else jnp.asarray(height, float)
     atmosphere = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), atmosphere)
@@ -250,10 +250,10 @@ def test_layers_of_another_shape_are_refused_and_empty_columns_are_none():
 
 def test_a_batch_of_heights_is_a_loop_and_compiles_once(x64):
     heights = jnp.array([0.0, 700.0, 5e3, 3e4])
-    sky = jax.jit(lambda h: light_of(hazy(), h), compiler_options=HASTE)
+    sky = jax.jit(lambda h: light_of(hazy(), h))
     loop = np.stack([sky(h) for h in heights])
     assert sky._cache_size() == 1
-    batch = jax.jit(jax.vmap(lambda h: light_of(hazy(), h)), compiler_options=HASTE)
+    batch = jax.jit(jax.vmap(lambda h: light_of(hazy(), h)))
     np.testing.assert_allclose(batch(heights), loop, rtol=1e-9, atol=1e-13)
 
 
@@ -288,15 +288,15 @@ def test_slopes_are_central_differences(x64, solver, height):
     # an observer does not stand in the ground
     free = jnp.asarray(np.delete(np.eye(len(leaves)), [] if height > 0.0 else [len(leaves) - 2], axis=0))
     step = 1e-5 * free
-    around = jax.jit(lambda s: jax.lax.map(field, s), compiler_options=HASTE)(jnp.concatenate([step, -step]))
+    around = jax.jit(lambda s: jax.lax.map(field, s))(jnp.concatenate([step, -step]))
     central = (around[: len(free)] - around[len(free) :]) / 2e-5
     zero, largest = jnp.zeros(len(leaves)), float(jnp.max(jnp.abs(around)))
-    every = jnp.moveaxis(jax.jit(jax.jacfwd(field), compiler_options=HASTE)(zero), -1, 0)
+    every = jnp.moveaxis(jax.jit(jax.jacfwd(field))(zero), -1, 0)
     assert np.all(np.isfinite(every))
     forward = jnp.einsum("fl,l...->f...", free, every)
     np.testing.assert_allclose(forward, central, atol=1e-5 * largest)
     weight = jnp.cos(jnp.arange(central[0].size)).reshape(central[0].shape)
-    backward = jax.jit(jax.grad(lambda r: jnp.sum(weight * field(r))), compiler_options=HASTE)(zero)
+    backward = jax.jit(jax.grad(lambda r: jnp.sum(weight * field(r))))(zero)
     np.testing.assert_allclose(backward, jnp.einsum("l...,...->l", every, weight), atol=1e-8 * largest * weight.size)
 
 
@@ -308,7 +308,7 @@ def test_slopes_by_the_view_are_finite_everywhere():
         found = FEW.stokes(haze_over_air(0.1, 0.2), scene)
         return jnp.sum(found.radiance) + jnp.sum(found.q) + jnp.sum(found.u)
 
-    slope = jax.jit(jax.grad(total, argnums=(0, 1)), compiler_options=HASTE)
+    slope = jax.jit(jax.grad(total, argnums=(0, 1)))
     for height in (0.0, 1e3, 4e5):
         assert all(np.all(np.isfinite(v)) for v in slope(zenith, jnp.asarray(height)))
 

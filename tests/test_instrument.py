@@ -13,7 +13,6 @@ from skyfit.retrieve import start_model, with_values
 from skyfit.transport.optics import optics
 
 
-pytestmark = pytest.mark.usefixtures("haste")
 TRUTH = np.array(list(HAZE.values()))
 # at the mean distance of the sun
 NO_DAY = np.array(["NaT"], "datetime64[ns]")

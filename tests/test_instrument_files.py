@@ -384,7 +384,7 @@ def test_a_scanners_table_that_cannot_be_understood(tmp_path, text, parts):
     assert all(part in str(caught.value) for part in parts), caught.value
 
 
-def test_haze_comes_back_from_the_luminances_of_a_scanner(x64, haste, tmp_path):
+def test_haze_comes_back_from_the_luminances_of_a_scanner(x64, tmp_path):
     from skyfit.light import earth_sun_factor, extraterrestrial_irradiance
     from skyfit.measured import solar_position
     from skyfit.measured.readers.scanner import tregenza

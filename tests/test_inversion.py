@@ -14,7 +14,6 @@ from skyfit.retrieve import PARAMETERS, start_model, values_of, with_values
 from skyfit.retrieve.sampling import GAS_BANDS_NM
 
 
-pytestmark = pytest.mark.usefixtures("haste")
 DEMO = (
     "aerosol_optical_depth", "angstrom_exponent", "single_scattering_albedo", "asymmetry", "ground_albedo",
     "ozone",

@@ -15,7 +15,6 @@ from skyfit.light import extraterrestrial_irradiance
 from skyfit.retrieve import start_model, with_values
 
 
-pytestmark = pytest.mark.usefixtures("haste")
 # noise of each sample alone, as the dense fit has it
 SQUARES = replace(OWN_NOISE, loss="squares")
 SHARED = ("asymmetry",)

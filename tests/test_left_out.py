@@ -12,7 +12,6 @@ from skyfit.measured import mask_sun
 from skyfit.retrieve.result import outliers
 
 
-pytestmark = pytest.mark.usefixtures("haste")
 CAUCHY = skyfit.NoiseModel(loss="cauchy")
 
 

@@ -11,9 +11,6 @@ from skyfit.light import extraterrestrial_irradiance
 from skyfit.measured.quality.line_shape import estimate_fwhm
 
 
-pytestmark = pytest.mark.usefixtures("haste")
-
-
 def test_the_line_shape_of_the_file_or_of_the_call_is_used(x64):
     radiance = by_hand(fwhm_nm=11.0)
     told = skyfit.invert(as_sky(radiance, fwhm_nm=11.0), FREE, SOLVER, measurement=EXACT)

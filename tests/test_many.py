@@ -21,7 +21,6 @@ from skyfit.retrieve.batch import _examined, ended, RESULTS
 from skyfit.retrieve.prepared import flaws, prepared
 
 
-pytestmark = pytest.mark.usefixtures("haste")
 SOLVER = skyfit.SingleScattering(8, "flat")
 FREE = ("aerosol_optical_depth", "angstrom_exponent", "asymmetry")
 WAVELENGTH = np.arange(400.0, 681.0, 40.0)

@@ -7,7 +7,6 @@ import miepython
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from skies import HASTE
 
 import skyfit
 from skyfit.atmosphere import RayleighPhase, TwoModeAerosol
@@ -56,8 +55,8 @@ def optics(made, half=HALF, wavelength=WAVELENGTH):
 
 
 def compiled(function):
-    """Compiled in haste: op by op, compilation would be most of the time of these tests."""
-    return jax.jit(function, compiler_options=HASTE)
+    """As one program: op by op, compilation would be most of the time of these tests."""
+    return jax.jit(function)
 
 
 optics_of = compiled(quantities)

@@ -17,7 +17,6 @@ from skyfit.retrieve import predict, SkyModel, start_model
 from skyfit.retrieve.forward import observe, Problem
 
 
-pytestmark = pytest.mark.usefixtures("haste")
 SOLVER = skyfit.SingleScattering.draft("flat")
 # radians from the sun's azimuth, at the sun's height
 AWAY = np.radians([-150.0, -90.0, -45.0, -20.0, -10.0, -6.0, 6.0, 10.0, 20.0, 45.0, 90.0, 150.0])

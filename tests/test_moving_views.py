@@ -13,7 +13,6 @@ from skyfit.measured import mask_sun, read, write_sky
 from skyfit.records import write_prediction
 
 
-pytestmark = pytest.mark.usefixtures("haste")
 SOLVER = skyfit.SingleScattering.draft("flat")
 FREE = ("aerosol_optical_depth", "angstrom_exponent", "asymmetry")
 TRUTH = np.array([0.2, 1.1, 0.65])

@@ -176,7 +176,6 @@ def test_some_bad_pixels_are_left_out_and_told(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("haste")
 def test_a_sky_of_unknown_level_and_sun_comes_back(tmp_path):
     """A picture by single scattering; the fit begins with a sun that is off."""
     solver, bands = skyfit.SingleScattering.draft("flat"), np.array([450.0, 550.0, 620.0])

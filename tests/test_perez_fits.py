@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from skies import HASTE, SINGLE
+from skies import SINGLE
 
 import skyfit
 from skyfit.analytic import fit_perez, Preetham
@@ -48,7 +48,7 @@ def given(light, sun):
 
 
 # a program for each shape, dtype and setting serves many tests
-@partial(jax.jit, static_argnames=("start", "max_steps"), compiler_options=HASTE)
+@partial(jax.jit, static_argnames=("start", "max_steps"))
 def compiled(arguments, start, max_steps):
     return fit_perez(*arguments, start=start, max_steps=max_steps)
 
@@ -279,7 +279,7 @@ def test_transforms_and_dtypes(simulated):
     # skies in pairs: vmap over what depends on the sky
     halves = [v.reshape(2, 20, *v.shape[1:]) if v.shape[0] == 40 else v for v in arguments]
     axes = tuple(0 if v.shape[0] == 2 else None for v in halves)
-    mapped = jax.jit(jax.vmap(fit_perez, axes), compiler_options=HASTE)(*halves)
+    mapped = jax.jit(jax.vmap(fit_perez, axes))(*halves)
     np.testing.assert_allclose(np.ravel(mapped.cost), inside.cost, rtol=1e-4)
     np.testing.assert_array_equal(np.ravel(mapped.converged), inside.converged)
     with jax.enable_x64(True):
@@ -298,12 +298,12 @@ def directions(arguments, seed=0):
     return tuple(as_float(random.normal(size=v.shape)) * v for v in arguments)
 
 
-@partial(jax.jit, compiler_options=HASTE)
+@jax.jit
 def forward(arguments, along):
     return jax.jvp(lambda *a: fit_perez(*a)[:2], arguments, along)[1]
 
 
-@partial(jax.jit, compiler_options=HASTE)
+@jax.jit
 def backward(arguments, cotangent):
     return jax.vjp(lambda *a: fit_perez(*a)[:2], *arguments)[1](cotangent)
 
@@ -340,7 +340,7 @@ def test_forward_is_reverse(x64, simulated):
     random = np.random.default_rng(1)
     cotangent = tuple(as_float(random.normal(size=t.shape)) / np.abs(t).max() for t in forward(arguments, along))
 
-    @partial(jax.jit, compiler_options=HASTE)
+    @jax.jit
     def both(arguments, along, cotangent):
         _, linear = jax.linearize(lambda *a: fit_perez(*a)[:2], *arguments)
         return linear(*along), jax.linear_transpose(linear, *arguments)(cotangent)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from foreign_skies import directions, sasktran2_stokes, Truth, WAVELENGTH_NM
 from skies import (
-    HASTE,
     haze_over_air,
     hazy,
     names_of,
@@ -75,7 +74,7 @@ def few_stokes(geometry, atmosphere, sun_deg, zenith_deg, azimuth_deg, wavelengt
             scene = skyfit.Scene(sun, jnp.deg2rad(SUN_AZIMUTH), view, wavelength, jnp.ones_like(wavelength))
             return FEW[geometry].stokes(atmosphere, scene)
 
-        PROGRAMS[key] = jax.jit(sky, compiler_options=HASTE)
+        PROGRAMS[key] = jax.jit(sky)
     zenith, azimuth = (np.ravel(v) for v in np.broadcast_arrays(zenith_deg, azimuth_deg))
     padded = (jnp.asarray(np.radians(np.pad(v, (0, 24 - len(v)), "edge")), float) for v in (zenith, azimuth))
     atmosphere = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), atmosphere)
@@ -359,7 +358,7 @@ def test_gradients_are_finite_at_the_zenith_and_the_sun_and_where_it_is_dark(geo
         found = FEW[geometry].stokes(atmosphere, scene)
         return sum(jnp.sum(v) for v in (found.radiance, found.q, found.u, found.degree, found.angle))
 
-    slope = jax.jit(jax.grad(total, argnums=(0, 1, 2, 3)), compiler_options=HASTE)
+    slope = jax.jit(jax.grad(total, argnums=(0, 1, 2, 3)))
     dark = hazy(haze=0.0, pressure=0.0)
     # zenith, the sun, straight above and below it, the horizon
     zenith, azimuth = jnp.array([0.0, 0.7, 0.2, 1.3, np.pi / 2]), jnp.array([0.0, 0.3, 0.3, 0.3 + np.pi, 1.0])

@@ -15,9 +15,6 @@ from skyfit.retrieve import Fitted, start_at, start_model
 from skyfit.retrieve.prepared import prepared
 
 
-pytestmark = pytest.mark.usefixtures("haste")
-
-
 @pytest.mark.parametrize("with_sigma", [True, False], ids=["sigma", "no sigma"])
 def test_masked_samples_have_no_influence(with_sigma):
     clean = as_sky(by_hand(), seed=2)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from skies import HASTE, SMALL
+from skies import SMALL
 from typer.testing import CliRunner
 
 import skyfit
@@ -101,9 +101,9 @@ def test_sensitivities_hold_for_multiple_scattering(x64):
     solver, view = SMALL["flat"], skyfit.Directions.from_degrees([0.0, 40.0, 70.0], [0.0, 90.0, 250.0])
     ground = {"ground_albedo": np.array([0.05, 0.1, 0.2, 0.4])}
     names = ("ground_albedo", "ozone", "aerosol_optical_depth", "pointing_azimuth")
-    compiled = jax.jit(lambda m: skyfit.sensitivity(scene_of(view), m, names, solver), compiler_options=HASTE)
+    compiled = jax.jit(lambda m: skyfit.sensitivity(scene_of(view), m, names, solver))
     got = np.asarray(compiled(model_of(**ground)))
-    forward = SimpleNamespace(radiance=jax.jit(lambda a, s: solver.radiance(a, s), compiler_options=HASTE))
+    forward = SimpleNamespace(radiance=jax.jit(lambda a, s: solver.radiance(a, s)))
     for name, values in zip(names, got, strict=True):
         expected = differences(forward, view, name, **ground)
         np.testing.assert_allclose(values, expected, atol=1e-5 * np.max(np.abs(expected)), rtol=0.0)
@@ -256,10 +256,10 @@ def test_the_information_has_derivatives(x64):
         information = skyfit.fisher_information(scene_of(ODD), model, names, 0.02, 1e-3, SOLVER)
         return jnp.linalg.slogdet(jnp.sum(information, axis=0) + jnp.eye(len(names)))[1]
 
-    value, slope = jax.jit(jax.value_and_grad(total), compiler_options=HASTE)(model_of())
+    value, slope = jax.jit(jax.value_and_grad(total))(model_of())
     leaves = jax.tree.leaves(slope)
     assert np.isfinite(value) and np.all(np.isfinite(leaves)) and np.count_nonzero(leaves) >= 12
-    forward = jax.jit(total, compiler_options=HASTE)
+    forward = jax.jit(total)
     for name in ("aerosol_optical_depth", "asymmetry", "ozone", "pointing_azimuth"):
         step = 1e-5 * (PARAMETERS[name].upper - PARAMETERS[name].lower)
         ends = [float(forward(model_of(**{name: TRUTH[name] + sign * step}))) for sign in (1.0, -1.0)]
@@ -433,7 +433,7 @@ def test_a_picture_that_cannot_be_drawn_leaves_no_file(drawn, tmp_path, changes,
 # the command
 
 
-def test_the_command_says_what_a_scan_determines_and_where_to_look_next(x64, haste, tmp_path):
+def test_the_command_says_what_a_scan_determines_and_where_to_look_next(x64, tmp_path):
     azimuth = [3, 10, 30, 60, 90, 120, 150, 170]
     rows = [f"40,{30 + a},{w:g},{10.0 / w:.4f},40,30" for a in azimuth for w in WAVELENGTH]
     names = "view_zenith,view_azimuth,wavelength,radiance,sun_zenith,sun_azimuth"

@@ -33,6 +33,18 @@ def optics(made):
     return depth, albedo, made.phase.moments(3, nm), made.phase.at_haversine(half, nm), made.phase.matrix(half, nm)
 
 
+def by_miepython(radius, density, indices):
+    """Optical depth, albedo and asymmetry at `WAVELENGTH` of dV/dlnr at radii in um, by trapezoids."""
+    found = []
+    for nm, index in zip(WAVELENGTH, indices, strict=True):
+        extinction, scattering, _, cosine = miepython.efficiencies(index, 2.0 * radius, 1e-3 * nm)
+        # cross-section over volume
+        share = 0.75 * density / radius
+        sums = [np.trapezoid(share * q, np.log(radius)) for q in (extinction, scattering, scattering * cosine)]
+        found.append((sums[0], sums[1] / sums[0], sums[2] / sums[1]))
+    return np.array(found).T
+
+
 def test_optics_are_those_of_another_mie_code_with_an_index_of_each_wavelength(x64):
     made = haze(
         refractive_index_slope=-0.04, absorption_index_exponent=1.5, absorption_index_curvature=0.5,
@@ -42,18 +54,42 @@ def test_optics_are_those_of_another_mie_code_with_an_index_of_each_wavelength(x
     np.testing.assert_allclose(made.index_at(jnp.asarray(WAVELENGTH)), [n, k], rtol=1e-12)
     radius = np.geomspace(0.02, 30.0, 700)
     density = np.asarray(made.volume_size_distribution(jnp.asarray(radius)))
-    depth, albedo, mean = [], [], []
-    for nm, index in zip(WAVELENGTH, n - 1j * k, strict=True):
-        extinction, scattering, _, cosine = miepython.efficiencies(index, 2.0 * radius, 1e-3 * nm)
-        # cross-section over volume
-        share = 0.75 * density / radius
-        whole, part = (np.trapezoid(share * q, np.log(radius)) for q in (extinction, scattering))
-        depth.append(whole)
-        albedo.append(part / whole)
-        mean.append(np.trapezoid(share * scattering * cosine, np.log(radius)) / part)
+    depth, albedo, mean = by_miepython(radius, density, n - 1j * k)
     np.testing.assert_allclose(optics(made)[0], depth, rtol=2e-3)
     np.testing.assert_allclose(optics(made)[1], albedo, atol=5e-4)
     np.testing.assert_allclose(optics(made)[2][1], mean, atol=1e-3)
+
+
+def test_a_stated_size_distribution_has_the_optics_of_its_straight_lines(x64):
+    """Narrow modes, whose bins as they stand would be wider; more radii than bins, and fewer."""
+    fine = np.geomspace(0.05, 15.0, 21 * 25 + 1)
+    few = np.array([0.08, 0.2, 0.5, 1.5, 4.0, 10.0])
+    for radii, limit in ((BIN_RADII, 3e-3), (np.geomspace(0.06, 9.0, 40), 6e-3), (few, 1e-2)):
+        x = np.log(radii)
+        volume = 0.03 * np.exp(-0.5 * ((x - np.log(0.16)) / 0.4) ** 2) + 0.02 * np.exp(-0.5 * ((x - 1.0) / 0.45) ** 2)
+        lines = np.interp(np.log(fine), x, volume, left=0.0, right=0.0)
+        settings = {"refractive_index": 1.47, "absorption_index": 0.008}
+        made = skyfit.BinnedAerosol.from_size_distribution(radii, volume, **settings)
+        depth, albedo, mean = by_miepython(fine, lines, np.full(3, 1.47 - 0.008j))
+        np.testing.assert_allclose(optics(made)[0], depth, rtol=limit)
+        np.testing.assert_allclose(optics(made)[1], albedo, atol=1e-3)
+        np.testing.assert_allclose(optics(made)[2][1], mean, atol=0.4 * limit)
+        assert float(made.volumes.sum()) == pytest.approx(np.trapezoid(lines, np.log(fine)), rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    "radii, volume, words",
+    [
+        ([0.1, 0.2], [0.1], "of one length"),
+        ([0.1], [0.1], "2 at least"),
+        ([0.2, 0.1], [0.1, 0.1], "must increase"),
+        ([0.1, 0.2], [0.1, -0.1], "`volume`"),
+        ([0.0, 0.2], [0.1, 0.1], "`radius_um`"),
+    ],
+)
+def test_a_size_distribution_that_is_none_is_refused(radii, volume, words):
+    with pytest.raises(ValueError, match=words):
+        skyfit.BinnedAerosol.from_size_distribution(radii, volume)
 
 
 def test_an_index_that_does_not_change_is_that_of_the_two_modes(x64):
@@ -121,7 +157,7 @@ def sky_and_start(seed: int) -> tuple[skyfit.Sky, SkyModel]:
 
 
 @pytest.mark.slow
-def test_bins_come_back_and_sigma_is_that_of_data_and_prior(x64, haste):
+def test_bins_come_back_and_sigma_is_that_of_data_and_prior(x64):
     """Of light scattered once: the covariance by normal equations in NumPy, slopes by forward differentiation."""
     sky, start = sky_and_start(0)
     free = (*SIZE_BINS, "refractive_index", "absorption_index")

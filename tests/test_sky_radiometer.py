@@ -91,7 +91,7 @@ def test_radiance_beam_angles_and_times_of_a_scan(tmp_path, almucantar):
 
 
 @pytest.mark.slow
-def test_haze_comes_back_from_a_scan_and_its_beam(x64, haste, tmp_path, almucantar):
+def test_haze_comes_back_from_a_scan_and_its_beam(x64, tmp_path, almucantar):
     sky = read(written(tmp_path, almucantar[0]))
     fit = skyfit.invert(sky, tuple(HAZE), SOLVER)
     assert fit.result == ("successful",)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from skies import HASTE, hazy, slow, unit_scene, views
+from skies import hazy, slow, unit_scene, views
 
 import skyfit
 from skyfit import OrdersOfScattering, SingleScattering, upsample
@@ -53,7 +53,7 @@ def skies_of(name, atmosphere, sun, view, **grid):
         def both(atmosphere, scene):
             return upsample(SOLVERS[name], atmosphere, scene, **grid), SOLVERS[name].radiance(atmosphere, scene)
 
-        PROGRAMS[key] = jax.jit(both, compiler_options=HASTE)
+        PROGRAMS[key] = jax.jit(both)
     count = view.zenith.shape[0]
     padded = (np.pad(np.asarray(v), (0, 400 - count), "edge") for v in (view.zenith, view.azimuth))
     atmosphere = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), atmosphere)
@@ -194,7 +194,7 @@ def test_gradients_are_the_solvers(name, x64):
 
     def gradient(sky):
         slope = jax.grad(brightness(sky, (30, 3)), argnums=(0, 1, 2, 3))
-        return jax.jit(slope, compiler_options=HASTE)(*numbers)
+        return jax.jit(slope)(*numbers)
 
     got, wanted = gradient(few), gradient(direct)
     for mine, theirs in zip(jax.tree.leaves(got), jax.tree.leaves(wanted), strict=True):
@@ -226,7 +226,7 @@ def test_values_and_gradients_are_finite_everywhere(name, precision):
             sky = upsample(SOLVERS[name], atmosphere, scene, zeniths=6, azimuths=6)
             return jnp.sum(sky.radiance) + jnp.sum(sky.error)
 
-        both = jax.jit(jax.value_and_grad(total, argnums=(0, 1, 2, 3)), compiler_options=HASTE)
+        both = jax.jit(jax.value_and_grad(total, argnums=(0, 1, 2, 3)))
         for key, atmosphere in HARD.items():
             atmosphere = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), atmosphere)
             for sun in (0.0, 55.0, 89.999, 90.0, 90.001, 93.0, 100.0):
@@ -240,14 +240,14 @@ def test_batches_and_precisions_agree():
         return upsample(SOLVERS["single flat"], hazy(), scene, zeniths=8, azimuths=6)
 
     suns = jnp.asarray([0.3, 1.2])
-    together, single = (jax.jit(f, compiler_options=HASTE) for f in (jax.vmap(sky), sky))
+    together, single = (jax.jit(f) for f in (jax.vmap(sky), sky))
     together = together(suns)
     for i in range(2):
         alone = single(suns[i])
         for mine, theirs in zip(alone, together, strict=True):
             np.testing.assert_allclose(mine, theirs[i], rtol=1e-4, atol=1e-5)
     with jax.enable_x64(True):
-        exact = jax.jit(sky, compiler_options=HASTE)(jnp.asarray(suns[0], float))
+        exact = jax.jit(sky)(jnp.asarray(suns[0], float))
         np.testing.assert_allclose(together.radiance[0], exact.radiance, rtol=5e-5)
 
 
@@ -261,7 +261,7 @@ def test_many_directions_are_served_in_pieces(monkeypatch):
         return jnp.sum(sky.radiance * jnp.arange(1.0, 71.0)[:, None]), sky
 
     def both():
-        program = jax.jit(jax.value_and_grad(total, argnums=(0, 1), has_aux=True), compiler_options=HASTE)
+        program = jax.jit(jax.value_and_grad(total, argnums=(0, 1), has_aux=True))
         return program(jnp.asarray(0.2), view.zenith)
 
     whole = both()
@@ -281,7 +281,7 @@ def test_many_directions_are_served_in_pieces(monkeypatch):
 
     million = jax.ShapeDtypeStruct((1_000_000,), jnp.float32)
     for function in (many, jax.grad(many)):
-        program = jax.jit(function, compiler_options=HASTE).lower(million).compile()
+        program = jax.jit(function).lower(million).compile()
         assert program.memory_analysis().temp_size_in_bytes < 1e9
 
 
