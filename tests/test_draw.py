@@ -257,3 +257,19 @@ def test_the_picture_goes_through_the_values():
     expected = np.stack([np.cos(pixel_zenith), np.sin(pixel_zenith) * np.sin(pixel_azimuth)], axis=-1)
     assert np.max(np.abs(picture - expected)[inside]) < 0.02
     assert np.all(np.isnan(picture[~inside]))
+
+
+def test_a_bright_horizon_has_no_beads():
+    """The rim of a clear sky from 343 directions is within 3 % of the truth, rms in a ring."""
+    directions = hemisphere(343)
+    zenith, azimuth = np.asarray(directions.zenith, float), np.asarray(directions.azimuth, float)
+
+    def truth(zenith):
+        mass = 1.0 / (np.maximum(np.cos(zenith), 0.0) + 0.025)
+        return np.log(-np.expm1(-0.25 * mass) * np.exp(-0.02 * mass))
+
+    pixel_zenith, _, _ = pixels()
+    off = interpolated(zenith, azimuth, truth(zenith)[:, None])[..., 0] - truth(pixel_zenith)
+    for low, high, limit in ((0.0, 80.0, 0.01), (80.0, 86.0, 0.02), (86.0, 88.0, 0.03)):
+        ring = (pixel_zenith >= np.radians(low)) & (pixel_zenith < np.radians(high))
+        assert np.std(off[ring]) < limit

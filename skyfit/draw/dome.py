@@ -5,6 +5,8 @@ import numpy as np
 
 # Width of a dome, pixels
 _SIZE = 360
+# Cosine of the zenith angle below which the horizon is stretched for interpolation
+_STRETCH = 0.05
 _INK, _FAINT, _EMPTY = "#222222", "#8a8a8a", "#e9e9e9"
 
 
@@ -54,18 +56,25 @@ def interpolated(zenith: np.ndarray, azimuth: np.ndarray, values: np.ndarray) ->
 
     **Arguments:** directions in radians, ten or more above the horizon; `values` `[direction, channel]`.
     **Returns:** `[row, column, channel]`.
+    **Valid:** the horizon is stretched while interpolating. A few hundred directions, seven degrees apart, do not
+    resolve how a clear sky brightens there: the picture would have a bead at each of them.
     **Source:** thin-plate splines of the nearest 24 directions (scipy's `RBFInterpolator`).
     """
     from scipy.interpolate import RBFInterpolator
 
+    def stretched(zenith, azimuth):
+        far = zenith + _STRETCH * (1.0 / (np.cos(zenith) + _STRETCH) - 1.0 / (1.0 + _STRETCH))
+        return np.stack(place(far, azimuth), axis=-1)
+
     # A direction that occurs twice, such as the zenith, would make the spline singular
-    points = np.round(np.stack(place(zenith, azimuth), axis=-1), 9)
+    above = np.minimum(zenith, 0.5 * np.pi)
+    points = np.round(stretched(above, azimuth), 9)
     _, once = np.unique(points, axis=0, return_index=True)
     once = once[zenith[once] <= 0.5 * np.pi + 1e-6]
     pixel_zenith, pixel_azimuth, inside = pixels()
     spline = RBFInterpolator(points[once], values[once], neighbors=24)
     result = np.full((_SIZE, _SIZE, values.shape[-1]), np.nan)
-    result[inside] = spline(np.stack(place(pixel_zenith[inside], pixel_azimuth[inside]), axis=-1))
+    result[inside] = spline(stretched(pixel_zenith[inside], pixel_azimuth[inside]))
     return result
 
 
