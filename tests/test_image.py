@@ -2,6 +2,7 @@
 
 import json
 
+import colour
 import numpy as np
 import OpenEXR
 import OpenImageIO
@@ -11,9 +12,9 @@ import pytest
 import skyfit
 from skyfit.draw import plot_contact_sheet
 from skyfit.image.disc import add_disc, RADIUS
-from skyfit.image.files import aces
+from skyfit.image.files import aces, read_picture
 from skyfit.image.render import SPECTRUM
-from skyfit.light import extraterrestrial_irradiance
+from skyfit.light import extraterrestrial_irradiance, observer_weights
 
 
 CAMERAS = (
@@ -265,6 +266,41 @@ def test_spherical_skies_from_the_ground_and_aloft(sun, height):
         assert beam == pytest.approx(float(skyfit.xyz(light.direct, SPECTRUM)[1]), rel=1e-3, abs=1e-6)
 
 
+def test_a_spectral_picture_has_the_solvers_radiances_and_its_file_is_read_by_others(tmp_path):
+    solver, air = skyfit.SingleScattering.draft(), skyfit.Atmosphere.from_turbidity(3.0)
+    camera = skyfit.Camera("equirect", 64, 32, azimuth=0.5)
+    seen = {"sun_zenith": 0.7, "sun_azimuth": 0.5, "solver": solver}
+    plain = skyfit.render(air, camera, **seen)
+    image = skyfit.render(air, camera, **seen, spectral=True)
+    assert plain.spectrum is None and image.spectrum is not None
+    np.testing.assert_array_equal(image.spectrum.wavelength_nm, SPECTRUM)
+    assert image.spectrum.radiance.shape == (32, 64, SPECTRUM.size)
+    np.testing.assert_allclose(image.xyz, plain.xyz, rtol=5e-3, atol=1e-3 * np.median(plain.xyz))
+    np.testing.assert_allclose(image.lamp.irradiance, plain.lamp.irradiance, rtol=1e-6)
+    row, column = np.array([4, 9, 14]), np.array([5, 20, 60])
+    east, north, up = camera.views()[:, row, column].astype(float)
+    views = skyfit.Directions(np.arccos(up), np.arctan2(east, north))
+    sun = extraterrestrial_irradiance(SPECTRUM, 20.0)
+    expected = solver.radiance(air, skyfit.Scene(0.7, 0.5, views, SPECTRUM, sun))
+    np.testing.assert_allclose(image.spectrum.radiance[row, column], expected, rtol=5e-3)
+    # the light of the disc is the beam, whatever pixels it falls on
+    without = skyfit.render(air, camera, **seen, spectral=True, sun="none")
+    place = np.mgrid[:32, :64]
+    disc = np.einsum("rcw,rc->w", image.spectrum.radiance - without.spectrum.radiance, camera.solid_angle(*place))
+    assert disc @ observer_weights(SPECTRUM)[:, 1] == pytest.approx(image.lamp.irradiance[1], rel=1e-3)
+    image.save(tmp_path / "a.exr", spectral=True)
+    found = colour.read_spectral_image_Fichet2021(str(tmp_path / "a.exr"))
+    wavelength, radiance = found["S0"]
+    np.testing.assert_allclose(wavelength, SPECTRUM)
+    np.testing.assert_allclose(radiance, image.spectrum.radiance, rtol=1e-6)
+    np.testing.assert_allclose(read_picture(tmp_path / "a.exr").rgb, image.rgb(), rtol=1e-5, atol=1e-3)
+    with pytest.raises(ValueError, match="`spectral` needs a picture with a spectrum"):
+        plain.save(tmp_path / "b.exr", spectral=True)
+    with pytest.raises(ValueError, match="`spectral` must be left out with an analytic sky"):
+        skyfit.render(EXTENDED, camera, turbidity=3.0, sun_zenith=0.7, spectral=True)
+    assert not (tmp_path / "b.exr").exists()
+
+
 @pytest.mark.slow
 def test_the_limb_from_space_fades_into_black():
     solver, air = skyfit.Spherical.draft(), skyfit.Atmosphere.from_turbidity(2.0)
@@ -422,7 +458,7 @@ def test_the_command_writes_a_picture_and_a_lamp(skyfit_command, tmp_path):
         (("--sun-zenith", 60, "--solver", "mine"), "`--solver` must be one of"),
         (("--sun-zenith", 60, "--size", "64"), "`--size` must be WxH"),
         (("--sun-zenith", 60, "--frames", 3), "`--frames` must come with `--until`"),
-        (("--sun-zenith", 60, "--half"), "`space` and `half` are of an .exr"),
+        (("--sun-zenith", 60, "--half"), "`space`, `half` and `spectral` are of an .exr"),
         (("--sun-zenith", 91, "--solver", "published"), "`--sun-zenith` must be between 0 and 90"),
         (("--sun-zenith", 120), "`--sun-zenith` must be between 0 and 108"),
         (("--sun-zenith", 60, "--solver", "extended", "--atmosphere", "a.toml"), "`--atmosphere` must be left out"),

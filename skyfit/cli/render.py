@@ -123,6 +123,9 @@ def render(
     ] = ToneName.filmic,
     space: Annotated[SpaceName, typer.Option(help="of an .exr")] = SpaceName.srgb,
     half: Annotated[bool, typer.Option("--half", help=".exr in half precision, scaled by its whiteLuminance")] = False,
+    spectral: Annotated[
+        bool, typer.Option("--spectral", help=".exr with a layer for each of 19 wavelengths too, of a solver's sky")
+    ] = False,
     tolerance: ToleranceOption = None,
 ):
     """Render a picture of the sky, the ground and the sun.
@@ -151,7 +154,7 @@ def render(
     # float32 is enough for a picture
     context.with_resource(jax.enable_x64(False))
     check_file(out)
-    check_saving(out, exposure, white_balance, space.value, half)
+    check_saving(out, exposure, white_balance, space.value, half, spectral)
     in_range("--ground-albedo", ground_albedo, 0.0, 1.0)
     if atmosphere is not None and turbidity is not None:
         raise ValueError("`--turbidity` must be left out with `--atmosphere`, whose file holds the haze")
@@ -214,13 +217,13 @@ def render(
                 continue
             picture = rendered(
                 sky, camera, sun_zenith=float(np.radians(frame.zenith)), sun_azimuth=float(np.radians(frame.azimuth)),
-                sun_seen_zenith=float(np.radians(frame.seen)), sun=sun.value, **asked,
+                sun_seen_zenith=float(np.radians(frame.seen)), sun=sun.value, spectral=spectral, **asked,
             )  # fmt: skip
             if sun is SunName.lamp:
                 picture.save_lamp(frame.path.with_suffix(".lamp.json"))
             picture.save(
                 frame.path, exposure=exposure, white_balance=white_balance, tone=tone.value, space=space.value,
-                half=half,
+                half=half, spectral=spectral,
             )  # fmt: skip
     if choice is not None:
         print_choice(choice)

@@ -1,6 +1,6 @@
 """Picture files and the tone curve of ACES, by OpenImageIO."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -32,11 +32,12 @@ def write_picture(
     pixels: Num[np.ndarray, "row column channel"],
     kind: Kind,
     about: Mapping[str, str | float | tuple[float, ...]],
+    names: Sequence[str] | None = None,
 ) -> None:
     """Write a picture in the format given by the file's suffix.
 
     **Arguments:** `pixels`, the top row first; `kind` of number in the file; `about`, attributes by their OpenImageIO
-    names; each format keeps those that it knows.
+    names; each format keeps those that it knows; `names` of the channels, None: as the format has them.
     **Errors:** `OSError` if the file cannot be written.
     """
     require("OpenImageIO")
@@ -44,6 +45,8 @@ def write_picture(
 
     height, width, channels = pixels.shape
     spec = oiio.ImageSpec(width, height, channels, kind)
+    if names is not None:
+        spec.channelnames = tuple(names)
     for name, value in about.items():
         if isinstance(value, tuple):
             spec.attribute(name, oiio.TypeDesc(f"float[{len(value)}]"), value)

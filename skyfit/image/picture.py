@@ -44,11 +44,19 @@ class Lamp:
 
 
 @dataclass(frozen=True)
+class Spectrum:
+    """Light of each pixel: wavelengths, nm, and `radiance` `[row, column, wavelength]`, W m^-2 sr^-1 nm^-1."""
+
+    wavelength_nm: Float[np.ndarray, " wavelength"]
+    radiance: Float[np.ndarray, "row column wavelength"]
+
+
+@dataclass(frozen=True)
 class Image:
     """A picture: `xyz` `[row, column, 3]`, the CIE 1931 observer's X, Y, Z in cd m^-2, the top row first.
 
     `camera` gives the directions of its pixels; `lamp` is the sun, whether the picture shows it or not; `made_by`, the
-    solver or the formula.
+    solver or the formula; `spectrum` of its pixels, None unless it was asked for.
 
     **Example:**
 
@@ -63,6 +71,7 @@ class Image:
     camera: Camera
     lamp: Lamp
     made_by: str
+    spectrum: Spectrum | None = None
 
     def rgb(self, space: Space = "srgb", white_balance: float | None = None) -> Float[np.ndarray, "row column 3"]:
         """Linear red, green, blue in cd m^-2: three equal values are white of that luminance. Not clipped.
@@ -121,16 +130,22 @@ class Image:
         tone: Tone = "filmic",
         space: Space = "srgb",
         half: bool = False,
+        spectral: bool = False,
     ) -> None:
         """Write the picture: `.exr` or `.hdr`, linear, or `.png`, developed, 8 bits.
 
         **Arguments:** `exposure` and `tone` of a PNG; `space` and `half` precision of an EXR. An EXR's values times its
         `whiteLuminance` are red, green, blue in cd m^-2. `whiteLuminance` is 1, or with `half` a power of two that
         keeps the largest value in range. A Radiance `.hdr` is linear sRGB in cd m^-2, with negative values set to 0.
-        **Errors:** `ValueError` for another suffix, and for `space` or `half` with a file other than an EXR.
+        `spectral` adds the spectrum of each pixel to an EXR, in W m^-2 sr^-1 nm^-1, a layer for each wavelength.
+        **Errors:** `ValueError` for another suffix, for `space`, `half` or `spectral` with a file other than an EXR,
+        and for `spectral` of a picture that has no `spectrum`.
+        **Source:** names of the layers: Fichet et al. 2021, J. Comput. Graph. Tech. 10 (3), 1.
         """
         path = Path(path)
-        check_saving(path, exposure, white_balance, space, half)
+        check_saving(path, exposure, white_balance, space, half, spectral)
+        if spectral and self.spectrum is None:
+            raise ValueError("`spectral` needs a picture with a spectrum: `render(..., spectral=True)`")
         if path.suffix == ".png":
             pixels = np.round(255.0 * self.developed(exposure, white_balance, tone)).astype(np.uint8)
             write_picture(path, pixels, "uint8", {"ImageDescription": self.told()})
@@ -141,9 +156,14 @@ class Image:
                 "compression": "zip", "whiteLuminance": scale, "chromaticities": _chromaticities(space),
                 "ImageDescription": self.told(),
             }  # fmt: skip
-            write_picture(
-                path, (rgb / scale).astype(np.float16 if half else np.float32), "half" if half else "float", about
-            )
+            pixels, names = rgb / scale, ["R", "G", "B"]
+            if spectral and self.spectrum is not None:
+                pixels = np.concatenate([pixels, self.spectrum.radiance], axis=2)
+                # a comma before the decimals: a point would part a layer from its channel
+                names += [f"S0.{nm:.6f}nm"[::-1].replace(".", ",", 1)[::-1] for nm in self.spectrum.wavelength_nm]
+                about |= {"spectralLayoutVersion": "1.0", "emissiveUnits": "W.m^-2.sr^-1.nm^-1"}
+            dtype, kind = (np.float16, "half") if half else (np.float32, "float")
+            write_picture(path, pixels.astype(dtype), kind, about, names)
         else:
             rgb = np.maximum(self.rgb("srgb", white_balance), 0.0).astype(np.float32)
             write_picture(path, rgb, "float", {"ImageDescription": self.told()})
@@ -185,12 +205,13 @@ def check_saving(
     white_balance: float | None = None,
     space: Space = "srgb",
     half: bool = False,
+    spectral: bool = False,
 ) -> None:
     """Raise an error if `Image.save` cannot write such a file; same arguments."""
     if path.suffix not in (".exr", ".hdr", ".png"):
         raise ValueError(f"`path` must end in .exr, .hdr or .png, got {path}")
-    if path.suffix != ".exr" and (space != "srgb" or half):
-        raise ValueError(f"`space` and `half` are of an .exr, got them for {path}")
+    if path.suffix != ".exr" and (space != "srgb" or half or spectral):
+        raise ValueError(f"`space`, `half` and `spectral` are of an .exr, got them for {path}")
     require("OpenImageIO")
     check_range("exposure", exposure, *_EXPOSURES)
     check_range("white_balance", white_balance, *_DAYLIGHTS, "K")

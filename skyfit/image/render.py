@@ -8,15 +8,15 @@ import numpy as np
 from ..analytic import Sunlight
 from ..analytic.analytic import AbstractAnalyticSky
 from ..atmosphere import Atmosphere
-from ..light import extraterrestrial_irradiance, SRGB_FROM_XYZ, xyz
+from ..light import extraterrestrial_irradiance, observer_weights, SRGB_FROM_XYZ, xyz
 from ..numerics import as_float, check_range
 from ..scene import Directions, Scene, unit_vectors
 from ..transport import AbstractSolver, Spherical
 from ..transport.columns import EARTH_RADIUS, slant_columns, TOP_OF_AIR
 from ..transport.optics import optics
 from .camera import Camera
-from .disc import add_disc
-from .picture import Image, Lamp
+from .disc import add_disc, OF_OBSERVER
+from .picture import Image, Lamp, Spectrum
 from .table import LightTable
 
 
@@ -43,6 +43,7 @@ def render(
     height: float = EYE,
     sun: Sun = "disc",
     ground_albedo: float = 0.1,
+    spectral: bool = False,
 ) -> Image:
     """Render a picture of the sky, the ground below it, and the sun.
 
@@ -52,7 +53,7 @@ def render(
     through the air too, None: `sun_zenith`; `solver` for an atmosphere, by default `Spherical.normal()`; `height` of
     the observer, m, other than the default for `Spherical` only; `sun`: "disc" of true size, or "none" or "lamp" to
     leave it out of the picture (`Image.lamp` has its light in any case); `ground_albedo` below an analytic sky (an
-    atmosphere has its own).
+    atmosphere has its own); `spectral` of an atmosphere: keep the spectrum of every pixel, 19 numbers, in the `Image`.
     **Returns:** `Image`, X, Y, Z in cd m^-2. **Errors:** `ValueError` outside the range of the solver or the sky.
     **Valid:** a solver computes 18000 directions (12000 without ground). The light is interpolated between them within
     0.5 %, in the first 0.2 degrees below the horizon within 2 % (tests). An analytic sky is evaluated at every pixel.
@@ -80,25 +81,30 @@ def render(
         solver = Spherical.normal() if solver is None else solver
         made_by = type(solver).__name__
         check_height(height, solver)
-        pixels, beam, horizon = _of_solver(solver, sky, sun_zenith, sun_azimuth, seen_zenith, height)
+        pixels, beam, horizon = _of_solver(solver, sky, sun_zenith, sun_azimuth, seen_zenith, height, spectral)
     else:
         if turbidity is None or solver is not None:
             raise ValueError("an analytic sky must come with `turbidity`, and without `solver`")
+        if spectral:
+            raise ValueError("`spectral` must be left out with an analytic sky, which has colours and no spectrum")
         made_by, horizon = type(sky).__name__, 0.5 * np.pi
         check_height(height, sky)
         pixels, beam = _of_formula(sky, turbidity, sun_zenith, sun_azimuth, seen_zenith, ground_albedo)
     rows = max(_PIXELS // camera.width, 1)
-    picture = np.empty((camera.height, camera.width, 3), np.float32)
+    picture = np.empty((camera.height, camera.width, beam.size), np.float32)
     for first in range(0, camera.height, rows):
         views = camera.views(first, min(first + rows, camera.height))
         row, column = np.mgrid[first : first + views.shape[1], : camera.width]
         seen = camera.solid_angle(row, column)[..., None] > 0.0
-        picture[first : first + rows] = seen * pixels(views.reshape(3, -1)).reshape(*views.shape[1:], 3)
+        picture[first : first + rows] = seen * pixels(views.reshape(3, -1)).reshape(*views.shape[1:], -1)
     if sun == "disc":
-        add_disc(picture, camera, seen_zenith, sun_azimuth, beam, horizon)
-    return Image(
-        picture, camera, Lamp(seen_zenith, sun_azimuth, (float(beam[0]), float(beam[1]), float(beam[2]))), made_by
-    )
+        add_disc(picture, camera, seen_zenith, sun_azimuth, beam, horizon, SPECTRUM if spectral else OF_OBSERVER)
+    spectrum = None
+    if spectral:
+        spectrum, weights = Spectrum(SPECTRUM, picture), observer_weights(SPECTRUM)
+        picture, beam = picture @ weights.astype(np.float32), beam @ weights
+    lamp = Lamp(seen_zenith, sun_azimuth, (float(beam[0]), float(beam[1]), float(beam[2])))
+    return Image(picture, camera, lamp, made_by, spectrum)
 
 
 def check_height(height: float, asked: AbstractSolver | AbstractAnalyticSky) -> None:
@@ -114,9 +120,14 @@ def sunlight():
 
 
 def _of_solver(
-    solver: AbstractSolver, sky: Atmosphere, sun_zenith: float, sun_azimuth: float, seen_zenith: float, height: float
-):
-    """A function of views that gives X, Y, Z; X, Y, Z of the sun's beam; the zenith angle of the horizon."""
+    solver: AbstractSolver, sky: Atmosphere, sun_zenith: float, sun_azimuth: float, seen_zenith: float, height: float,
+    spectral: bool,
+):  # fmt: skip
+    """A function of views that gives X, Y, Z or a spectrum; the same of the sun's beam; the horizon's zenith angle."""
+
+    def channels(spectra):
+        return np.asarray(spectra if spectral else xyz(spectra, SPECTRUM))
+
     aloft = isinstance(solver, Spherical) and height > 0.0
     one = Directions(np.zeros(1), np.zeros(1))
     scene = Scene(sun_zenith, sun_azimuth, one, SPECTRUM, sunlight(), height if aloft else None)
@@ -132,13 +143,13 @@ def _of_solver(
         return solver.radiance(sky, seen(views)) if field is None else field.radiance(seen(views))
 
     def light(zenith, azimuth):
-        found = np.empty((zenith.size, 3))
+        found = np.empty((zenith.size, SPECTRUM.size if spectral else 3))
         for first in range(0, zenith.size, _CHUNK):
             # The last piece is filled up, so that all pieces use one compiled program
             part = np.arange(first, first + _CHUNK) % zenith.size
             views = Directions(zenith[part], sun_azimuth + azimuth[part])
             here = min(_CHUNK, zenith.size - first)
-            found[first : first + here] = np.asarray(xyz(radiance(views), SPECTRUM))[:here]
+            found[first : first + here] = channels(radiance(views))[:here]
         return found
 
     horizon = np.pi - _tangent(EARTH_RADIUS, height) if aloft else 0.5 * np.pi
@@ -148,11 +159,11 @@ def _of_solver(
     profiles = [c.profile for c in constituents]
     column = slant_columns(profiles, as_float(height if aloft else 0.0), jnp.cos(as_float(seen_zenith)), "spherical")
     depth = column @ optics(constituents, scene.wavelength_nm).extinction
-    beam = np.asarray(xyz(jnp.exp(-depth) * scene.solar_irradiance, SPECTRUM)) * (seen_zenith < horizon)
+    beam = channels(jnp.exp(-depth) * scene.solar_irradiance) * (seen_zenith < horizon)
     ground = None
     if not aloft:
         fluxes = solver.fluxes(sky, scene)
-        ground = np.asarray(xyz(fluxes.up / np.pi, SPECTRUM))
+        ground = channels(fluxes.up / np.pi)
 
     def pixels(views):
         east, north, up = views

@@ -22,11 +22,11 @@ class _Side(NamedTuple):
 
     zenith: Float[np.ndarray, " zenith"]
     azimuth: Float[np.ndarray, " azimuth"]
-    spline: Float[np.ndarray, "3 zenith azimuth"]
+    spline: Float[np.ndarray, "channel zenith azimuth"]
 
 
 class LightTable:
-    """X, Y, Z in all directions, by cubic splines of their logarithm through a grid of directions.
+    """X, Y, Z or a spectrum in all directions, by cubic splines of their logarithm through a grid of directions.
 
     The light is symmetric about the sun's meridian. Nodes are dense near the sun and near the horizon, which lies at
     the zenith angle `horizon` and where the light is discontinuous. The light is 0 above the zenith angle `air`, the
@@ -35,7 +35,7 @@ class LightTable:
 
     def __init__(
         self,
-        light: Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "view 3"]],
+        light: Callable[[np.ndarray, np.ndarray], Float[np.ndarray, "view channel"]],
         sun_zenith: float,
         air: float,
         horizon: float,
@@ -48,20 +48,22 @@ class LightTable:
         crowds = {horizon: _NEAR_HORIZON, sun_zenith: _NEAR_SUN}
         zeniths = [_nodes(low, high, crowds, count) for low, high, count in ends]
         every = np.meshgrid(np.concatenate(zeniths), azimuth, indexing="ij")
-        found = np.maximum(light(*(v.ravel() for v in every)), _DARK).reshape(*every[0].shape, 3)
+        found = np.maximum(light(*(v.ravel() for v in every)), _DARK)
+        self.channels = found.shape[-1]
+        found = found.reshape(*every[0].shape, self.channels)
         parts = np.split(np.log(found), [zeniths[0].size])
         self.air, self.horizon = air, horizon
         self.sides = [
-            _Side(zenith, azimuth, np.stack([spline_filter(part[..., k], mode="mirror") for k in range(3)]))
+            _Side(zenith, azimuth, np.stack([spline_filter(part[..., k], mode="mirror") for k in range(self.channels)]))
             for zenith, part in zip(zeniths, parts, strict=False)
         ]
 
     def at(self, zenith: Float[np.ndarray, " view"], azimuth: Float[np.ndarray, " view"]) -> np.ndarray:
-        """X, Y, Z `[view, 3]`, 0 outside the table; `azimuth` from the sun, rad."""
+        """The light `[view, channel]`, 0 outside the table; `azimuth` from the sun, rad."""
         from scipy.ndimage import map_coordinates
 
         turn = np.abs((azimuth + np.pi) % (2.0 * np.pi) - np.pi)
-        found = np.zeros((zenith.size, 3), np.float32)
+        found = np.zeros((zenith.size, self.channels), np.float32)
         for side, here in zip(
             self.sides, ((zenith >= self.air) & (zenith < self.horizon), zenith >= self.horizon), strict=False
         ):
@@ -69,7 +71,7 @@ class LightTable:
                 np.interp(v[here], nodes, np.arange(nodes.size))
                 for v, nodes in ((zenith, side.zenith), (turn, side.azimuth))
             ]
-            for k in range(3):
+            for k in range(self.channels):
                 log = map_coordinates(side.spline[k], place, order=3, mode="mirror", prefilter=False)
                 found[here, k] = np.exp(log)
         return found
