@@ -39,7 +39,7 @@ class Transmittances(NamedTuple):
 class Sunlight(Ranged):
     r"""Direct sunlight at sea level through haze of a given turbidity.
 
-    `turbidity`, dimensionless, >= 1; `angstrom_exponent` of the haze; `ozone`, m at NTP (0.0035 m are 350 Dobson
+    `turbidity`, dimensionless, from 0.995; `angstrom_exponent` of the haze; `ozone`, m at NTP (0.0035 m are 350 Dobson
     units); `water_vapour`, m of precipitable water. With airmass m and wavelength in um the factors are
     $e^{-0.008735\,\lambda^{-4.08} m}$, $e^{-\beta\lambda^{-\alpha} m}$, $e^{-k_o l m}$,
     $e^{-1.41 k_g m / (1 + 118.93 k_g m)^{0.45}}$, $e^{-0.2385 k_w w m / (1 + 20.07 k_w w m)^{0.45}}$.

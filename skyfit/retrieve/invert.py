@@ -68,9 +68,9 @@ def invert(
 
     **Returns:** a `Fit`. Sigma includes noise (widened where the residuals exceed it), priors and the model's stated
     error.
-    **Valid:** times with the sun above the horizon and at least as many samples as parameters. Other times are left out
-    of the `Fit`, and its notes name them; if no time is left, that is an error. Samples in bands of oxygen and water
-    vapour are left out and counted.
+    **Valid:** times with a sun that the solver knows (`Spherical` knows it below the horizon too) and at least as many
+    samples as parameters. Other times are left out of the `Fit`, and its notes name them; if no time is left, that is
+    an error. Samples in bands of oxygen and water vapour are left out and counted.
     **Errors:** `ValueError` for unknown or contradicting names, or a sky with too few usable samples.
     """
     settings = fwhm_nm, max_steps, shared, measurement, response, priors, smooth, draft

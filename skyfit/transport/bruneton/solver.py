@@ -74,7 +74,7 @@ class Bruneton(AbstractSolver):
 
     @classmethod
     def draft(cls, geometry: Geometry = "spherical") -> "Bruneton":
-        """A tenth of the paper's sizes."""
+        """A fifth of the entries of the paper's table of scattering, a quarter of those of the other two."""
         return cls(
             transmittance=(32, 128), irradiance=(8, 32), scattering=(16, 64, 24, 8), nodes=8, directions=(12, 10),
             geometry=geometry,
