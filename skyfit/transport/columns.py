@@ -171,20 +171,31 @@ def _column_tangent(tree, primals, tangents):
 _column_of.defjvp(_column_tangent, symbolic_zeros=True)
 
 
+@functools.singledispatch
 def _spherical_column(profile: AbstractProfile, height, cosine):
-    if isinstance(profile, Exponential):
-        return chapman_column(profile.scale_height, height, cosine)
-    if isinstance(profile, Layered):
-        return layered_column(profile, height, cosine)
-    if isinstance(profile, Levels):
-        return levels_column(profile, height, cosine)
-    if isinstance(profile, OzoneLayer):
-        # The layer is bounded: integrate without a tail, to the height above which 1e-5 of it are left.
-        nodes, weights = gauss_legendre(_COLUMN_NODES)
-        climb = profile.height + 12.0 * profile.thickness
-    else:
-        nodes, weights = exponential_nodes(_COLUMN_NODES)
-        climb = profile.reach()
+    """Column of a profile along a ray that climbs on a sphere; kinds with a better way than this register below."""
+    return _quadrature(profile, height, cosine, exponential_nodes(_COLUMN_NODES), profile.reach())
+
+
+@_spherical_column.register(Exponential)
+def _(profile, height, cosine):
+    return chapman_column(profile.scale_height, height, cosine)
+
+
+@_spherical_column.register(OzoneLayer)
+def _(profile, height, cosine):
+    # The layer is bounded: integrate without a tail, to the height above which 1e-5 of it are left.
+    climb = profile.height + 12.0 * profile.thickness
+    return _quadrature(profile, height, cosine, gauss_legendre(_COLUMN_NODES), climb)
+
+
+_spherical_column.register(Layered, layered_column)
+_spherical_column.register(Levels, levels_column)
+
+
+def _quadrature(profile: AbstractProfile, height, cosine, rule, climb):
+    """Column by a rule of nodes and weights in the length over which the ray climbs by `climb`."""
+    nodes, weights = rule
     radius = (EARTH_RADIUS + height)[..., None]
     cosine = cosine[..., None]
     scale = length_scale(radius, cosine, climb)
