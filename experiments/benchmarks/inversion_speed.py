@@ -3,7 +3,8 @@
     python -m experiments.benchmarks.inversion_speed [--shared ../shared] [--only scan,starts]
 
 Writes experiments/results/inversion_speed.json. The scan is the measured one of 11:30 (80 directions, 31 wavelengths,
-10 parameters), least squares without calibration or outliers so that all solvers have the same cost.
+10 parameters), least squares without calibration or outliers so that all solvers have the same cost. `gradient` is the
+derivative of the fitted optical depth by all samples, through `retrieve`.
 """
 
 import argparse
@@ -23,7 +24,7 @@ import scipy.optimize
 import skyfit
 from skyfit.measured import NoiseModel
 from skyfit.numerics import as_float
-from skyfit.retrieve import LOBES_FREE, start_model, with_values
+from skyfit.retrieve import LOBES_FREE, retrieve, start_model, with_values
 from skyfit.retrieve.forward import observe
 from skyfit.retrieve.invert import solve
 from skyfit.retrieve.prepared import first_points, prepared
@@ -96,11 +97,35 @@ def scan(shared: pathlib.Path) -> dict:
         "scipy_over_ours": statistics.median([s / o for s, o in zip(seconds["scipy"], seconds["ours"], strict=True)]),
         "scipy_over_whole": statistics.median([s / o for s, o in zip(seconds["scipy"], seconds["whole"], strict=True)]),
     }
+    record["gradient"] = through_retrieve(asked, here, median["ours"])
     try:
         record |= over_sasktran2(sky, len(calls), median)
     except ImportError:
         print("sasktran2 is not installed: its forward is not timed")
     return record
+
+
+def through_retrieve(asked, here, fitted: float) -> dict:
+    """Reverse mode through a whole retrieval: seconds of compiling, of a call, and over those of the fit alone."""
+    options = asked.options() | {"priors": asked.rows, "start": first_points(asked, here)}
+
+    def depth(measured):
+        problem = eqx.tree_at(lambda p: p.measured, asked.problem, measured)
+        return retrieve(problem, asked.start, asked.names, **options).values[0, 0]
+
+    measured = asked.problem.measured
+    begin = time.perf_counter()
+    program = jax.jit(jax.value_and_grad(depth)).lower(measured).compile()
+    compiling, took = time.perf_counter() - begin, []
+    for _ in range(REPEATS):
+        begin = time.perf_counter()
+        _, slope = jax.block_until_ready(program(measured))
+        took.append(time.perf_counter() - begin)
+    return {
+        "parameter": asked.names[0], "finite": bool(np.all(np.isfinite(slope))), "compile_seconds": compiling,
+        "seconds": statistics.median(took), "over_fit": statistics.median(took) / fitted,
+        "temporary_MiB": program.memory_analysis().temp_size_in_bytes / 2**20,
+    }  # fmt: skip
 
 
 def over_sasktran2(sky: skyfit.Sky, calls: int, median: dict) -> dict:

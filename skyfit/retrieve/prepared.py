@@ -12,7 +12,7 @@ from ..measured import NoiseModel, Response, Sky, station_pressure, STATION_RANG
 from ..measured.quality.oddities import examine
 from ..numerics import as_float
 from ..numerics.chain import Point
-from ..transport import AbstractSolver, low_sun, OrdersOfScattering, SingleScattering
+from ..transport import AbstractSolver, low_sun, OrdersOfScattering
 from .components import Expected
 from .forward import Problem
 from .guess import first_guess
@@ -177,8 +177,7 @@ def prepared(
 
 
 def _check_polarised(solvers: tuple[AbstractSolver, ...], measurement: NoiseModel) -> None:
-    known = (isinstance(s, SingleScattering) or isinstance(s, OrdersOfScattering) and s.polarised for s in solvers)
-    if not all(known):
+    if not all(solver.knows_polarisation for solver in solvers):
         raise ValueError(
             "`solver` must be polarised for degrees of polarisation: OrdersOfScattering.normal(polarised=True)"
         )

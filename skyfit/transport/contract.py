@@ -147,6 +147,11 @@ class AbstractSolver(Ranged):
     def model_error(self) -> float:
         """The relative size of each smooth error that a retrieval assumes for this solver (`error_shapes`)."""
 
+    @property
+    def knows_polarisation(self) -> bool:
+        """Whether the solver answers `stokes(atmosphere, scene)`, the `Stokes` of the sky."""
+        return False
+
     def doubt(self, atmosphere: Atmosphere) -> str | None:
         """Say, in words, why the solver's error in an atmosphere exceeds the stated one; None where it does not."""
         return None

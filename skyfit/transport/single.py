@@ -201,6 +201,10 @@ class SingleScattering(AbstractSolver):
     def model_error(self) -> float:
         return SCALAR_ERROR
 
+    @property
+    def knows_polarisation(self) -> bool:
+        return True
+
     def coarser(self) -> AbstractSolver:
         return self
 

@@ -135,6 +135,10 @@ class OrdersOfScattering(AbstractSolver):
     def model_error(self) -> float:
         return POLARISED_ERROR if self.polarised else SCALAR_ERROR
 
+    @property
+    def knows_polarisation(self) -> bool:
+        return self.polarised
+
     def doubt(self, atmosphere: Atmosphere) -> str | None:
         # Error against DISORT with 48 streams: 1.2 % where this moment is 0.07 (asymmetry 0.85, optical depth 3), 2.2 %
         # where it is 0.13 (0.88, 1).
