@@ -130,26 +130,27 @@ def weights_of(values):
     return np.cos(np.arange(values.size)).reshape(values.shape)
 
 
-def slopes_of(field, count):
-    """Of a function of `count` numbers near 0, in two programs.
+def forward_of(field, count, step=1e-5, moved=None):
+    """Of a function of `count` numbers near 0, in one program: values a step ahead and behind, and forward-mode slopes.
 
-    Values 1e-5 ahead and behind of each number `[side, number, ...]`, forward-mode slopes `[number, ...]`, and
-    reverse-mode slopes of the values' sum by `weights_of` them `[number]`.
+    **Arguments:** `moved`, the places of the numbers that may be moved, None for all.
+    **Returns:** values `[side, moved, ...]`, slopes `[number, ...]`.
     """
-    unit, nothing = jnp.eye(count), jnp.zeros((count, count))
+    unit = jnp.eye(count)
+    some = unit if moved is None else unit[np.asarray(moved)]
 
     @jax.jit
     def along(points, directions):
         return jax.lax.map(lambda item: jax.jvp(field, item[:1], item[1:]), (points, directions))
 
-    points = jnp.concatenate([1e-5 * unit, -1e-5 * unit, nothing])
-    values, slopes = map(np.asarray, along(points, jnp.concatenate([unit] * 3)))
+    points = jnp.concatenate([step * some, -step * some, 0.0 * unit])
+    values, slopes = map(np.asarray, along(points, jnp.concatenate([some, some, unit])))
+    return values[: 2 * len(some)].reshape(2, len(some), *values.shape[1:]), slopes[-count:]
 
-    @jax.jit
-    def back(point):
-        return jax.grad(lambda p: jnp.sum(weights_of(values[0]) * field(p)))(point)
 
-    return np.stack([values[:count], values[count : 2 * count]]), slopes[2 * count :], np.asarray(back(nothing[0]))
+def reverse_of(field, count, weight):
+    """Of a function of `count` numbers, at 0: reverse-mode slopes of the weighted sum of its values `[number]`."""
+    return np.asarray(jax.jit(jax.grad(lambda p: jnp.sum(weight * field(p))))(jnp.zeros(count)))
 
 
 SKIES = {}

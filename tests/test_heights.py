@@ -7,7 +7,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from skies import COLOURS, haze_over_air, hazy, ONE, slow, SMALL, SOLVERS, unit_scene, views
+from skies import (
+    COLOURS,
+    forward_of,
+    haze_over_air,
+    hazy,
+    ONE,
+    reverse_of,
+    slow,
+    SMALL,
+    SOLVERS,
+    unit_scene,
+    views,
+    weights_of,
+)
 
 import skyfit
 from skyfit.atmosphere import Exponential, Ground, HenyeyGreenstein, Layered, Prescribed, RayleighPhase
@@ -286,18 +299,14 @@ def test_slopes_are_central_differences(x64, solver, height):
         return light_of(*jax.tree.unflatten(tree, list(flat + relative * scale)), solver)
 
     # an observer does not stand in the ground
-    free = jnp.asarray(np.delete(np.eye(len(leaves)), [] if height > 0.0 else [len(leaves) - 2], axis=0))
-    step = 1e-5 * free
-    around = jax.jit(lambda s: jax.lax.map(field, s))(jnp.concatenate([step, -step]))
-    central = (around[: len(free)] - around[len(free) :]) / 2e-5
-    zero, largest = jnp.zeros(len(leaves)), float(jnp.max(jnp.abs(around)))
-    every = jnp.moveaxis(jax.jit(jax.jacfwd(field))(zero), -1, 0)
-    assert np.all(np.isfinite(every))
-    forward = jnp.einsum("fl,l...->f...", free, every)
-    np.testing.assert_allclose(forward, central, atol=1e-5 * largest)
-    weight = jnp.cos(jnp.arange(central[0].size)).reshape(central[0].shape)
-    backward = jax.jit(jax.grad(lambda r: jnp.sum(weight * field(r))))(zero)
-    np.testing.assert_allclose(backward, jnp.einsum("l...,...->l", every, weight), atol=1e-8 * largest * weight.size)
+    moved = np.delete(np.arange(len(leaves)), [] if height > 0.0 else [len(leaves) - 2])
+    around, forward = forward_of(field, len(leaves), moved=moved)
+    central, largest = (around[0] - around[1]) / 2e-5, float(np.max(np.abs(around)))
+    assert np.all(np.isfinite(forward))
+    np.testing.assert_allclose(forward[moved], central, atol=1e-5 * largest)
+    weight = weights_of(central[0])
+    backward = reverse_of(field, len(leaves), weight)
+    np.testing.assert_allclose(backward, np.einsum("l...,...->l", forward, weight), atol=1e-8 * largest * weight.size)
 
 
 def test_slopes_by_the_view_are_finite_everywhere():
