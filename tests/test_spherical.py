@@ -255,7 +255,9 @@ def test_shade_takes_sunlight_from_the_shaded_parts_of_a_view_alone():
         several - dark.inscatter, parts[0] + parts[2] - 2.0 * dark.inscatter, rtol=1e-3, atol=1e-6
     )
     # what comes by other ways is there in the shade
-    assert np.all(dark.inscatter > 0.0) and np.all(dark.transmittance == whole.transmittance)
+    assert np.all(dark.inscatter > 0.0)
+    # two programs, which round as they like
+    np.testing.assert_allclose(dark.transmittance, whole.transmittance, rtol=1e-6)
 
 
 def test_twilight_falls_without_steps_and_light_is_never_negative():
