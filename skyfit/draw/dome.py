@@ -6,7 +6,9 @@ import numpy as np
 # Width of a dome, pixels
 _SIZE = 360
 # Cosine of the zenith angle below which the horizon is stretched for interpolation
-_STRETCH = 0.05
+_STRETCH = 0.1
+# Zenith angle beyond which the picture is that at it, rad: few directions lie there, and the last pixels are two
+_RIM = np.radians(89.0)
 _INK, _FAINT, _EMPTY = "#222222", "#8a8a8a", "#e9e9e9"
 
 
@@ -74,7 +76,7 @@ def interpolated(zenith: np.ndarray, azimuth: np.ndarray, values: np.ndarray) ->
     pixel_zenith, pixel_azimuth, inside = pixels()
     spline = RBFInterpolator(points[once], values[once], neighbors=24)
     result = np.full((_SIZE, _SIZE, values.shape[-1]), np.nan)
-    result[inside] = spline(stretched(pixel_zenith[inside], pixel_azimuth[inside]))
+    result[inside] = spline(stretched(np.minimum(pixel_zenith[inside], _RIM), pixel_azimuth[inside]))
     return result
 
 
