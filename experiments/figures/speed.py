@@ -109,7 +109,8 @@ def growth(record: dict) -> str:
         first, last = rows[0], rows[-1]
         power = "-" if axis["exponent"] is None else f"{axis['exponent']:.2g}"
         lines.append(
-            f"| {name} | {first['size']:,}, {last['size']:,} | {first['seconds']:.2g} s, {last['seconds']:.2g} s "
+            f"| {name} | {first['size']:,}, {last['size']:,} "
+            f"| {milliseconds(first['seconds'])} ms, {milliseconds(last['seconds'])} ms "
             f"| {max(row['memory_GiB'] for row in rows):.2g} GiB | {power} |"
         )
     lines += [
