@@ -24,7 +24,6 @@ from skyfit.transport.bruneton.parameterisation import (
 from skyfit.transport.columns import EARTH_RADIUS, slant_columns, TOP_OF_AIR
 
 
-# compilation is most of the time of these tests
 TINY = {
     "transmittance": (16, 32), "irradiance": (4, 12), "scattering": (6, 16, 12, 4), "nodes": 4, "directions": (6, 4),
 }  # fmt: skip

@@ -70,10 +70,10 @@ def spectrum() -> Iterator[tuple[int, Callable]]:
         yield count, lambda scene=scene: run(air, scene)
 
 
-def series(times: int, moving: bool = True) -> skyfit.Sky:
+def series(times: int) -> skyfit.Sky:
     """Skies of single scattering with 1 % noise, of a haze that all have in common."""
     random, view = np.random.default_rng(0), skyfit.hemisphere(20, np.radians(80.0))
-    sun = np.radians(random.uniform(20.0, 70.0, times)) if moving else np.full(times, 0.9)
+    sun = np.radians(random.uniform(20.0, 70.0, times))
     air = with_values(start_model(FREE, 101325.0), FREE, (0.2, 1.2, 0.68)).atmosphere
     light = np.asarray(extraterrestrial_irradiance(FEW_NM, 6.0), float)
 
@@ -117,10 +117,13 @@ def joint() -> Iterator[tuple[int, Callable]]:
     whole = series(200)
     for count in (1, 5, 20, 50, 100, 200):
         part = whole.at_times(range(count))
-        settings = {"measurement": EXACT, "draft": ONCE, "shared": FREE[1:]} if count > 1 else {
-            "measurement": EXACT, "draft": ONCE
-        }  # fmt: skip
-        yield count, lambda part=part, settings=settings: skyfit.invert(part, FREE, ONCE, **settings).cost
+        shared = FREE[1:] if count > 1 else ()
+        yield (
+            count,
+            lambda part=part, shared=shared: (
+                skyfit.invert(part, FREE, ONCE, measurement=EXACT, draft=ONCE, shared=shared).cost
+            ),
+        )
 
 
 def devices() -> Iterator[tuple[int, Callable]]:

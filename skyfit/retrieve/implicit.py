@@ -32,7 +32,6 @@ class Given(NamedTuple):
 
 def settled(choices: Choices, solver: AbstractSolver, point: Point, given: Given) -> Point:
     """The end of a search, with its derivatives by all of `given`; unknowns at the edge of their box stay there."""
-
     flat, back = ravel_pytree(point)
     slope = jax.grad(lambda flat, given: _misfit(choices, solver, back(flat), given))
 
