@@ -14,6 +14,7 @@ import pytest
 import scipy.optimize
 
 from skyfit.numerics.chain import (
+    Begin,
     Blocks,
     blocks_of,
     ChainDescent,
@@ -266,14 +267,16 @@ def test_the_work_grows_linearly_with_the_number_of_times():
 def boxed(blocks: Blocks, limit, max_steps=100):
     """Rows that are linear everywhere, in units of a small sigma: the search goes on to the very minimum."""
 
-    def rows(point, blocks):
+    def rows(point, given):
+        blocks, _ = given
         data = jnp.einsum("trp,tp->tr", blocks.own, point.own) + blocks.common @ point.shared + blocks.right[..., 0]
         step = blocks.here * point.own[:-1] + blocks.after * point.own[1:] + blocks.step_right[..., 0]
         shared = blocks.prior @ point.shared + blocks.prior_right[:, 0]
         return jax.tree.map(lambda v: 1e3 * v, Rows(data, shared, step)), None
 
     limits = jax.tree.map(lambda v: jnp.full_like(v, limit), origin(blocks))
-    point, _, steps, result = minimise(rows, origin(blocks), blocks, limits, 0, max_steps)
+    begin = Begin(None, jnp.asarray(False))
+    point, _, steps, result = minimise(rows, origin(blocks), blocks, begin, limits, 0, max_steps)
     return point, steps, result == optx.RESULTS.successful
 
 
@@ -292,10 +295,11 @@ def test_in_a_box_it_is_the_bounded_minimum(x64, limit, seed):
     assert np.any(np.abs(expected.x) > 0.999 * limit) or limit == 0.5
 
 
-def decays(point: Point, arguments):
+def decays(point: Point, given):
     """Amplitude and level of each time's own, the rate of the decay shared; a step prior on the level."""
-    place, measured = arguments
+    (place, measured), begin = given
     curve = jnp.exp(-jnp.exp(point.shared[0]) * place)[None]
+    curve = jnp.where(begin.holds, begin.known["curve"], curve)
     data = 20.0 * (point.own[:, :1] * curve + point.own[:, 1:] - measured)
     step = 3.0 * jnp.stack([0.0 * point.own[1:, 0], point.own[1:, 1] - point.own[:-1, 1]], axis=1)
     return Rows(data, (point.shared - 0.3) / 0.5, step), {"curve": curve}
@@ -310,19 +314,28 @@ def test_a_nonlinear_joint_problem_has_the_minimum_that_scipy_finds(x64, times):
     arguments = jnp.asarray(place), jnp.asarray(measured)
     start = Point(jnp.ones((times, 2)), jnp.zeros(1))
 
+    begin = Begin({"curve": jnp.zeros((1, 12))}, jnp.asarray(False))
+
     def residual(x):
         point = Point(jnp.asarray(x[:-1].reshape(times, 2)), jnp.asarray(x[-1:]))
-        return np.concatenate([np.ravel(v) for v in decays(point, arguments)[0]])
+        return np.concatenate([np.ravel(v) for v in decays(point, (arguments, begin))[0]])
 
     expected = scipy.optimize.least_squares(residual, flat(start), xtol=1e-12, ftol=1e-12, gtol=1e-12)
     free = jax.tree.map(lambda v: jnp.full_like(v, jnp.inf), start)
-    found, known, steps, result = eqx.filter_jit(minimise)(decays, start, arguments, free, 0, 50)
+    found, known, steps, result = eqx.filter_jit(minimise)(decays, start, arguments, begin, free, 0, 50)
     assert result_name(result) == "successful" and steps < 20
     # within the tolerance of the search, a fiftieth of a standard deviation
     sigma = np.sqrt(np.diag(np.linalg.inv(expected.jac.T @ expected.jac)))
     assert np.all(np.abs(flat(found) - expected.x) < 0.02 * sigma)
     assert 0.5 * np.sum(residual(flat(found)) ** 2) <= expected.cost + 0.02**2
-    np.testing.assert_array_equal(known["curve"], decays(found, arguments)[1]["curve"])
+    np.testing.assert_array_equal(known["curve"], decays(found, (arguments, begin))[1]["curve"])
+    # a search that begins with what is known there ends at once; with a wrong curve it does so elsewhere
+    for curve, same in ((known["curve"], True), (known["curve"] + 0.1, False)):
+        taken = Begin({"curve": curve}, jnp.asarray(True))
+        again, _, steps, _ = eqx.filter_jit(minimise)(decays, found, arguments, taken, free, 0, 1)
+        assert steps == 1 and np.all(flat(again) == flat(found))
+        moved, _, _, _ = eqx.filter_jit(minimise)(decays, found, arguments, taken, free, 0, 2)
+        assert np.allclose(flat(moved), flat(found), atol=0.1 * sigma.min()) == same
 
 
 def test_the_number_of_steps_is_limited(x64):

@@ -180,7 +180,8 @@ def test_lobes_stand_in_order_whichever_the_search_found_and_haze_height_is_not_
         assert np.all(np.abs(fit.values[0, :4] - [0.01, 0.8, 0.3, 0.6]) < 4.0 * fit.sigma[0, :4])
         assert "aerosol_scale_height is not determined by these data" in fit.undetermined[0]
         assert fit.determined[0].tolist() == [True, True, True, True, False]
-    np.testing.assert_allclose(back.values[0, :4], there.values[0, :4], rtol=1e-3)
+    # each search ends within a fiftieth of sigma of the best
+    assert np.all(np.abs(back.values[0, :4] - there.values[0, :4]) < 0.04 * there.sigma[0, :4])
     np.testing.assert_allclose(back.sigma[0, :4], there.sigma[0, :4], rtol=2e-2)
     np.testing.assert_allclose(back.correlation[0, :4, :4], there.correlation[0, :4, :4], atol=2e-2)
     ratio = back.gain[0, 3] / np.max(np.abs(there.gain[0, 3])) - there.gain[0, 3] / np.max(np.abs(there.gain[0, 3]))

@@ -20,6 +20,7 @@ _PREETHAM_SOLID_ANGLE = math.pi * (6.96e8 / 1.5e11) ** 2  # sr
 
 _FWHM_PER_SIGMA = 2.0 * math.sqrt(2.0 * math.log(2.0))
 _MARGIN_IN_SIGMA = 4.0  # this omits 6e-5 of the line, which the normalisation compensates
+_REACH_IN_SIGMA = 9.0  # beyond this a double holds nothing of the line
 
 
 def extraterrestrial_irradiance(
@@ -75,6 +76,10 @@ def _gaussian_mean(node, value, centre, sigma):
     """Mean of the piecewise linear table weighted by Gaussians, exact on every piece."""
     from scipy.special import erf
 
+    reach = _REACH_IN_SIGMA * sigma
+    first, last = np.searchsorted(node, [centre.min(initial=node[-1]) - reach, centre.max(initial=node[0]) + reach])
+    near = slice(max(first - 1, 0), last + 1)
+    node, value = node[near], value[near]
     t = (node[None, :] - centre[:, None]) / sigma
     mass = np.diff(0.5 * erf(t / math.sqrt(2.0)), axis=1)
     moment = -sigma * np.diff(np.exp(-0.5 * t * t) / math.sqrt(2.0 * math.pi), axis=1)

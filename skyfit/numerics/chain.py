@@ -8,12 +8,12 @@ ch. 5 and 10; multi-pixel retrievals: Dubovik et al. 2011, Atmos. Meas. Tech. 4,
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from .factor import solve_upper, triangle
 
@@ -29,6 +29,13 @@ class Point(NamedTuple):
 
     own: Float[Array, "time parameter"]
     shared: Float[Array, " shared"]
+
+
+class Begin(NamedTuple):
+    """Auxiliary results that rows may take over instead of computing them, where they hold."""
+
+    known: Any
+    holds: Bool[Array, ""]
 
 
 class Rows(NamedTuple):
@@ -256,7 +263,7 @@ class ChainDescent(optx.AbstractDescent):
 
     limit: Point
     linear: int = 0
-    first_damping: float = 0.1
+    first_damping: ArrayLike = 0.1
     longest: float = 2.0
 
     def init(self, y, f_info_struct):
@@ -330,6 +337,12 @@ class ChainMarquardt(optx.AbstractGaussNewton):
     )
     verbose: Callable = lambda **_: None
 
+    def step(self, fn, y, args, options, state, tags):
+        """As in optimistix, but the rows of the first point may be those of auxiliary results that are known."""
+        arguments, begin = args
+        begin = begin._replace(holds=begin.holds & state.first_step)
+        return super().step(fn, y, (arguments, begin), options, state, tags)
+
     def terminate(self, fn, y, args, options, state, tags):
         done = (state.num_accepted_steps > 0) & (state.descent_state.change < self.tolerance**2)
         # When the search only shrinks, rounding lets no step succeed.
@@ -339,17 +352,29 @@ class ChainMarquardt(optx.AbstractGaussNewton):
         return done | stuck | late, result
 
 
-def minimise(rows, point: Point, arguments, limit: Point, linear: int, max_steps, tolerance: ArrayLike = 0.05):
+def minimise(
+    rows,
+    point: Point,
+    arguments,
+    begin: Begin,
+    limit: Point,
+    linear: int,
+    max_steps: ArrayLike,
+    tolerance: ArrayLike = 0.05,
+    first_damping: ArrayLike = 0.1,
+):
     """Minimise the sum of squares within |unknown| <= `limit` by Levenberg-Marquardt on optimistix' loop.
 
-    **Arguments:** `rows(point, arguments)` gives `Rows`, linear about `point`, and auxiliary results; `linear` as in
-    `ChainDescent`; `max_steps` and `tolerance` (`ChainMarquardt`), numbers or traced.
+    **Arguments:** `rows(point, (arguments, begin))` gives `Rows`, linear about the point, and auxiliary results;
+    `begin`, such results, and whether they hold at the first point; `linear` and `first_damping` as in `ChainDescent`;
+    `max_steps` and `tolerance` (`ChainMarquardt`). Numbers may be traced.
     **Returns:** the point, the auxiliary results of `rows`, the number of steps and optimistix' result; nothing is
     raised.
     """
-    descent = ChainDescent(limit, linear)
+    descent = ChainDescent(limit, linear, jnp.asarray(first_damping))
     solver = ChainMarquardt(descent=descent, max_steps=jnp.asarray(max_steps), tolerance=jnp.asarray(tolerance))
-    solution = optx.least_squares(rows, solver, point, arguments, has_aux=True, max_steps=None, throw=False)
+    given = arguments, begin
+    solution = optx.least_squares(rows, solver, point, given, has_aux=True, max_steps=None, throw=False)
     # The sum of a point and a step to the edge may be beyond the edge by rounding.
     end = jax.tree.map(lambda p, edge: jnp.clip(p, -edge, edge), solution.value, limit)
     return end, solution.state.aux, solution.stats["num_steps"], solution.result

@@ -1,6 +1,5 @@
 """Haze optics derived from the parameters of a fit: optical depths, exponents, albedos, radii and their errors."""
 
-from collections.abc import Callable
 from typing import NamedTuple, TYPE_CHECKING
 
 import jax
@@ -11,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 from ..atmosphere import BIN_RADII, BinnedAerosol, TwoModeAerosol
 from ..extras import require
 from ..numerics import as_float, check_range
+from ..programs import kept
 from .model import SkyModel
 from .parameters import with_values
 from .result import Fit
@@ -22,6 +22,11 @@ if TYPE_CHECKING:
 # wavelengths in nm at which sun photometers state the optics (AERONET's almucantars)
 _WAVELENGTHS = (440.0, 675.0, 870.0)
 _SPHERES = TwoModeAerosol | BinnedAerosol
+_SPECTRA = "aerosol_optical_depth", "single_scattering_albedo", "asymmetry"
+_OF_SPHERES = (
+    "refractive_index", "absorption_index", "volume_size_distribution", "fine_volume", "coarse_volume",
+)  # fmt: skip
+_RADII = "fine_effective_radius", "coarse_effective_radius", "effective_radius"
 
 
 class Derived(NamedTuple):
@@ -45,7 +50,7 @@ def aerosol_optics(fit: Fit) -> dict[str, Derived]:
     """
     if not _has_optics(fit):
         return {}
-    found = _with_sigma(fit, _numbers)
+    found = _with_sigma(fit, None)
     return {name: Derived(value, sigma, _unit(name)) for name, (value, sigma) in found.items()}
 
 
@@ -77,7 +82,7 @@ def aerosol_products(
     radius = as_float(BIN_RADII if radius_um is None else radius_um)
     fit.start.atmosphere.check_wavelengths(wavelength)
     check_range("radius_um", radius, 1e-3, 1e3, "um")
-    found = _with_sigma(fit, lambda model: _products(model, wavelength, radius))
+    found = _with_sigma(fit, (wavelength, radius))
     axes = {"wavelength": ("wavelength", np.asarray(wavelength, float), {"units": "nm"})}
     if "volume_size_distribution" in found:
         axes["radius"] = "radius", np.asarray(radius, float), {"units": "um"}
@@ -95,31 +100,56 @@ def _has_optics(fit: Fit) -> bool:
     return named and atmosphere.aerosol.smooth_in_wavelength
 
 
-def _with_sigma(fit: Fit, numbers: Callable[[SkyModel], dict]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Evaluate `numbers` of the model, each of any shape, at each time of a fit, and their sigma."""
+def _with_sigma(fit: Fit, at: tuple | None) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Each quantity, of any shape, at each time of a fit, and its sigma; `at` as in `_derived`."""
     # use the dtype of this process, which may differ from that of the fit
     start = jax.tree.map(lambda leaf: as_float(np.asarray(leaf)), fit.start)
-    shapes = {name: leaf.shape for name, leaf in jax.eval_shape(numbers, start).items()}
-    ends = np.cumsum([int(np.prod(shape)) for shape in shapes.values()])
-
-    def row_of(row):
-        by_name = numbers(with_values(start, fit.free, row))
-        return jnp.concatenate([by_name[name].reshape(-1) for name in shapes])
-
-    values = as_float(fit.values)
-    found = np.asarray(jax.lax.map(row_of, values), float)
-    gradient = np.asarray(jax.lax.map(jax.jacfwd(row_of), values), float)
+    values, slopes = _kept_derived(start, fit.free, as_float(fit.values), at)
     known = np.where(np.isfinite(fit.covariance), fit.covariance, 0.0)
-    variance = np.einsum("tqp,tpr,tqr->tq", gradient, known, gradient)
     # a number that depends on an undetermined parameter is undetermined too
     open_ended = ~np.isfinite(np.einsum("tpp->tp", fit.covariance))
-    touched = np.any((gradient != 0.0) & open_ended[:, None], axis=2)
-    sigma = np.where(touched, np.inf, np.sqrt(np.maximum(variance, 0.0)))
-    parts = (np.split(part, ends[:-1], axis=1) for part in (found, sigma))
+
+    def sigma_of(slope):
+        variance = np.einsum("t...p,tpr,t...r->t...", slope, known, slope)
+        touched = np.einsum("t...p,tp->t...", slope != 0.0, open_ended)
+        return np.where(touched, np.inf, np.sqrt(np.maximum(variance, 0.0)))
+
     return {
-        name: (value.reshape(-1, *shape), error.reshape(-1, *shape))
-        for (name, shape), value, error in zip(shapes.items(), *parts, strict=True)
+        name: (np.asarray(values[name], float), sigma_of(np.asarray(slopes[name], float))) for name in _names(start, at)
     }
+
+
+def _derived(start: SkyModel, free: tuple[str, ...], rows: Float[Array, "time parameter"], at: tuple | None):
+    """Values of each quantity and their slopes by the free parameters, by name, with a time axis in front.
+
+    The quantities are those of `_products` at some wavelengths and radii, `at`, or those of `_numbers` for None.
+    """
+
+    def of(row):
+        model = with_values(start, free, row)
+        return _numbers(model) if at is None else _products(model, *at)
+
+    return jax.lax.map(lambda row: (of(row), jax.jacfwd(of)(row)), rows)
+
+
+def _names(start: SkyModel, at: tuple | None) -> list[str]:
+    """The names of the quantities of `_derived`."""
+    if at is None:
+        names = [f"{name}_{nm:.0f}" for name in _SPECTRA for nm in _WAVELENGTHS] + ["angstrom_exponent_440_870"]
+    else:
+        names = [_SPECTRA[0], "absorption_optical_depth", *_SPECTRA[1:]]
+    if not isinstance(start.atmosphere.aerosol, _SPHERES):
+        return names
+    return [*names, *(_OF_SPHERES if at is not None else ()), *_RADII]
+
+
+def _shape_of(start: SkyModel, _, __, at: tuple | None) -> tuple[dict, dict]:
+    """A tree with the structure of the result of `_derived`."""
+    one = dict.fromkeys(_names(start, at), 0)
+    return one, one
+
+
+_kept_derived = kept(_derived, _shape_of)
 
 
 def _unit(name: str) -> str:
@@ -133,23 +163,18 @@ def _spectra(aerosol, wavelength: Float[Array, " wavelength"]):
 
 
 def _radii(aerosol: _SPHERES) -> dict:
-    names = "fine_effective_radius", "coarse_effective_radius", "effective_radius"
-    return {name: getattr(aerosol, name) for name in names}
+    return {name: getattr(aerosol, name) for name in _RADII}
 
 
 def _products(model: SkyModel, wavelength, radius) -> dict:
     aerosol = model.atmosphere.aerosol
     depth, albedo, asymmetry = _spectra(aerosol, wavelength)
-    found = {
-        "aerosol_optical_depth": depth, "absorption_optical_depth": depth * (1.0 - albedo),
-        "single_scattering_albedo": albedo, "asymmetry": asymmetry,
-    }  # fmt: skip
+    found = dict(zip(_SPECTRA, (depth, albedo, asymmetry), strict=True))
+    found["absorption_optical_depth"] = depth * (1.0 - albedo)
     if not isinstance(aerosol, _SPHERES):
         return found
-    volumes = aerosol.volumes
-    found["refractive_index"], found["absorption_index"] = aerosol.index_at(wavelength)
-    found["volume_size_distribution"] = aerosol.volume_size_distribution(radius)
-    return found | {"fine_volume": volumes[0], "coarse_volume": volumes[1]} | _radii(aerosol)
+    sizes = *aerosol.index_at(wavelength), aerosol.volume_size_distribution(radius), *aerosol.volumes
+    return found | dict(zip(_OF_SPHERES, sizes, strict=True)) | _radii(aerosol)
 
 
 def _numbers(model: SkyModel) -> dict:
@@ -157,11 +182,9 @@ def _numbers(model: SkyModel) -> dict:
     depth, albedo, asymmetry = _spectra(aerosol, as_float(_WAVELENGTHS))
     numbers = {
         f"{name}_{nm:.0f}": rows[i]
-        for name, rows in (
-            ("aerosol_optical_depth", depth), ("single_scattering_albedo", albedo), ("asymmetry", asymmetry)
-        )
+        for name, rows in zip(_SPECTRA, (depth, albedo, asymmetry), strict=True)
         for i, nm in enumerate(_WAVELENGTHS)
-    }  # fmt: skip
+    }
     # without haze there is no exponent
     safe = jnp.where(depth > 0.0, depth, 1.0)
     slope = jnp.log(safe[0] / safe[-1]) / np.log(_WAVELENGTHS[-1] / _WAVELENGTHS[0])

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..measured.noise import Loss
-from ..numerics.chain import Point, reduced, Rows
+from ..numerics.chain import Begin, Point, reduced, Rows
 from ..numerics.least_squares import LOGISTIC_LIMIT
 from ..transport import AbstractSolver
 from .components import Expected
@@ -245,8 +245,8 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
     """The function for `minimise` that gives the rows of all times, linear about the point."""
     names, count = choices.names, len(choices.own)
 
-    def rows(point: Point, arguments):
-        fixed, problem, priors, weighing, threshold = arguments
+    def rows(point: Point, given: tuple[tuple, Begin]):
+        (fixed, problem, priors, weighing, threshold), begin = given
         here = jax.lax.stop_gradient(point)
         channels = problem.measured.shape[2]
         shared, calibration = here.shared[: len(choices.shared)], calibration_of(choices, here, channels)
@@ -256,15 +256,18 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
         tight = mine.rows()[None] * steep[:, None] * weighing.excess[:, None, None]
 
         def at(item):
-            own, one, weighing, tight, prior = item
+            own, one, weighing, tight, prior, known = item
             scaled, slope = _with_slope(names, jnp.concatenate([own, shared]))
-            known = linearised(names, solver, slopes_by, fixed, scaled, one)
+            known = jax.lax.cond(
+                begin.holds, lambda: known, lambda: linearised(names, solver, slopes_by, fixed, scaled, one)
+            )
             after = trusted(choices, threshold, one, known, calibration, weighing)
             columns = columns_of(choices, one, known, calibration, slope)
             columns = columns * (weight_of(one, weighing) * after.slope)[:, None]
             return reduced_rows(choices, columns, after.value[:, None], tight, prior[:, None]), known
 
-        (own, common, right), known = jax.lax.map(at, (here.own, problem, weighing, tight, prior))
+        items = here.own, problem, weighing, tight, prior, begin.known
+        (own, common, right), known = jax.lax.map(at, items)
         link = priors.step * weighing.of_all()
         step = (scaled[1:] - scaled[:-1]) * link
         shared_value, shared_slope = shared_priors(choices, here.shared, priors, weighing.of_all())

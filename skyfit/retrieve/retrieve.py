@@ -8,7 +8,7 @@ import numpy as np
 import optimistix as optx
 
 from ..measured.noise import Loss
-from ..numerics.chain import minimise, Point
+from ..numerics.chain import Begin, minimise, Point
 from ..transport import AbstractSolver
 from .components import Expected, KINDS
 from .forward import Problem
@@ -33,6 +33,8 @@ from .uncertainty import described, End, Estimate, weighing_at
 
 # tolerances of the last search and of those before it, as shares of the sigma by independent noise
 _NEAR, _FIRST_NEAR = 0.02, 0.5
+# first damping of these searches: the last one begins where the slopes are known and the end is near
+_DAMPED, _FIRST_DAMPED = 1e-3, 0.1
 
 
 def retrieve(
@@ -156,7 +158,12 @@ def search(
         arguments = fixed, problem, priors, weighing, numbers.threshold
         # tolerance as a share of the sigma that a search assumes; the last search continues from the best end
         near = jnp.where(last, _NEAR * weighing.of_all(), _FIRST_NEAR)
-        point, known, steps, result = minimise(rows, begin, arguments, limit, none, numbers.max_steps, near)
+        damping = jnp.where(last, _DAMPED, _FIRST_DAMPED)
+        # where all searches failed, nothing is known
+        known = Begin(best.known, last & jnp.isfinite(best.cost))
+        point, known, steps, result = minimise(
+            rows, begin, arguments, known, limit, none, numbers.max_steps, near, damping
+        )
         total = total_of(point, known, weighing)
         total = jnp.where(jnp.isfinite(total), total, jnp.inf)
         end = End(point, known, weighing, total, best.steps + steps, result)

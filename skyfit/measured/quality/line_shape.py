@@ -9,7 +9,9 @@ from ..samples import Sky
 # range in nm, between the ultraviolet edge and the first strong water band
 _RANGE = (380.0, 680.0)
 _COARSEST_STEP = 2.5
-_CANDIDATES = np.arange(0.5, 15.01, 0.25)
+_NARROWEST, _WIDEST = 0.5, 15.0
+# steps between the widths tried: over the whole range, then around the best of them
+_STEPS = 1.0, 0.25
 
 
 def estimate_fwhm(sky: Sky) -> float:
@@ -37,4 +39,8 @@ def estimate_fwhm(sky: Sky) -> float:
         sun = extraterrestrial_irradiance(wavelength[inside], fwhm)
         return np.sum(np.diff(np.log(spectrum / sun), 2) ** 2)
 
-    return float(_CANDIDATES[np.argmin([roughness(width) for width in _CANDIDATES])])
+    candidates = np.arange(_NARROWEST, _WIDEST + 0.01, _STEPS[0])
+    best = candidates[np.argmin([roughness(width) for width in candidates])]
+    candidates = np.arange(best - _STEPS[0], best + _STEPS[0] + 0.01, _STEPS[1])
+    candidates = candidates[(candidates >= _NARROWEST) & (candidates <= _WIDEST)]
+    return float(candidates[np.argmin([roughness(width) for width in candidates])])

@@ -98,10 +98,14 @@ def _everywhere(source, depth, airmass):
 
 def _along_view(source, depth, airmass):
     slant = airmass * depth
-    below = jnp.cumsum(slant[::-1], axis=0)[::-1] - slant
     first, second = phi_functions(slant)
     emitted = slant * (first * source - (0.5 * first - second) * sloped(source, depth))
-    return jnp.sum(jnp.exp(-below) * emitted, axis=0)
+    return _passed(jnp.zeros_like(source[0]), jnp.exp(-slant), emitted)
+
+
+def _passed(light, through, emitted):
+    """Light after all layers, in the order in which it meets them: each dims what enters and adds its own."""
+    return jax.lax.scan(lambda light, layer: (light * layer[0] + layer[1], None), light, (through, emitted))[0]
 
 
 @_seen.defjvp
@@ -146,15 +150,16 @@ def _seen_aloft(
     above = share[:, None] + jnp.zeros_like(slant)
     part = jnp.where(climbs, above, 1.0 - above)
     slant = part * slant
-    # Optical depth between the observer and each layer.
-    total = jnp.cumsum(slant, axis=0)
-    between = jnp.where(climbs, total[-1:] - total, total - slant)
     first, second = phi_functions(slant)
-    weight = slant * jnp.exp(-between)
-    lean = weight * (0.5 * first - second) * part
+    lean = slant * (0.5 * first - second) * part
     # `step` is the change of a source from top to bottom. Upward light meets it the other way round.
-    tilt = weight * first * jnp.where(climbs, 0.5 * (above - 1.0), 0.5 * above) + jnp.where(climbs, -lean, lean)
-    step = jnp.stack([sloped(source, depth[:, None]) for source in sources])
-    light = jnp.sum((weight * first)[None] * sources + tilt[None] * step, axis=1)
-    ground = jnp.where(climbs[0], 0.0, jnp.exp(-total[-1]) * reflected[None])
-    return light + jnp.pad(ground[None], ((0, light.shape[0] - 1), (0, 0), (0, 0)))
+    tilt = slant * first * jnp.where(climbs, 0.5 * (above - 1.0), 0.5 * above) + jnp.where(climbs, -lean, lean)
+    step = jnp.stack([sloped(source, depth[:, None]) for source in sources], axis=1)
+    emitted = (slant * first)[:, None] * jnp.moveaxis(sources, 0, 1) + tilt[:, None] * step
+    # Views up see light on its way down through the layers above, views down light on its way up from the ground.
+    through, emitted = (
+        jnp.where(jnp.expand_dims(climbs, range(1, v.ndim - 2)), v, v[::-1])
+        for v in (jnp.exp(-slant)[:, None], emitted)
+    )
+    ground = jnp.where(climbs[0], 0.0, reflected[None])
+    return _passed(jnp.pad(ground[None], ((0, sources.shape[0] - 1), (0, 0), (0, 0))), through, emitted)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...atmosphere import Atmosphere
+from ...atmosphere import AbstractPhase, Atmosphere
 from ...numerics import as_float, within
 from ...scene import Scene
 from ..contract import (
@@ -144,7 +144,7 @@ class OrdersOfScattering(AbstractSolver):
         # where it is 0.13 (0.88, 1).
         phases = [phase for _, phase in peaked(atmosphere.constituents)]
         count = 2 * self.streams
-        left = [float(np.max(np.asarray(phase.moments(count + 1, as_float(_GREEN))[count]))) for phase in phases]
+        left = [float(_moment(phase, count)) for phase in phases]
         if not left or max(left) < _FORWARD:
             return None
         return (
@@ -210,6 +210,12 @@ class OrdersOfScattering(AbstractSolver):
 
     def _resolution(self) -> Resolution:
         return Resolution(self.streams, self.modes, self.levels, self.orders, self.geometry, polarised=self.polarised)
+
+
+@eqx.filter_jit
+def _moment(phase: AbstractPhase, degree: int) -> Float[Array, ""]:
+    """The largest moment of a degree at green wavelengths."""
+    return jnp.max(phase.moments(degree + 1, as_float(_GREEN))[degree])
 
 
 def streamed_light(
