@@ -1,5 +1,6 @@
 """The air before a depth image: against closed forms, another solver, and the sky behind it; fog that stands in it."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import jax
@@ -13,7 +14,7 @@ import skyfit
 from skyfit.atmosphere import Layered, Prescribed, RayleighPhase
 from skyfit.image.render import SPECTRUM, sunlight
 from skyfit.light import SRGB_FROM_XYZ, xyz
-from skyfit.transport import OrdersOfScattering, SingleScattering, Spherical
+from skyfit.transport import OrdersOfScattering, SingleScattering, Spherical, ThickAirWarning
 
 
 CAMERA = skyfit.Camera("perspective", 6, 4, azimuth=np.pi, elevation=0.2)
@@ -123,6 +124,15 @@ def test_fog_on_top_of_the_atmosphere_there_is_has_all_orders(x64, thickness):
     scene = skyfit.Scene.from_degrees(50.0, up, ONE)
     found = Spherical.normal().radiance(air, scene)
     np.testing.assert_allclose(found, OrdersOfScattering.fine("flat").radiance(air, scene), rtol=0.03)
+
+
+def test_fog_whose_height_is_traced_is_warned_of():
+    """Shapes alone: nothing is solved."""
+    fog = HAZY.replace(fog=skyfit.Droplets.fog(0.02, 100.0))
+    scene = skyfit.Scene.from_degrees(50.0, skyfit.Directions.from_degrees([45.0], [150.0]), ONE)
+    for air, solver, warned in ((fog, SMALL, True), (HAZY, SMALL, False), (fog, replace(SMALL, near=30.0), False)):
+        with pytest.warns(ThickAirWarning, match="may be fog") if warned else nullcontext():
+            jax.eval_shape(solver.radiance, air, scene)
 
 
 @pytest.mark.parametrize(

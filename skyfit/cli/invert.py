@@ -1,5 +1,6 @@
 """`skyfit invert` and `skyfit predict`."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -142,7 +143,7 @@ def invert_command(
     from ..retrieve import aerosol_products, invert
     from ..transport.choose import choose_for_all
     from .asked import free_of, priors_of, response_of, samples_of, shared_of, smooth_of, start_of, values_of_fix
-    from .chosen import allowed_of, print_choice, scenes_of
+    from .chosen import allowed_of, print_choice, record_of, scenes_of
     from .fit_report import print_fit
     from .models import atmosphere_of, make_solver, settings_of
     from .printing import give, progress, say, warn, written
@@ -210,7 +211,8 @@ def invert_command(
         assert fit is not None
     out.mkdir(parents=True, exist_ok=True)
     files = []
-    for write, name in ((save, "fit.json"), (save, "fit.nc"), (plot, "fit.png")):
+    keep = partial(save, choice=None if choice is None else record_of(choice))
+    for write, name in ((keep, "fit.json"), (keep, "fit.nc"), (plot, "fit.png")):
         # A file that needs a missing optional dependency is skipped
         try:
             write(fit, out / name)

@@ -108,7 +108,7 @@ def refit_command(
     from ..records import write_coefficients
     from ..scene import hemisphere, Scene
     from ..transport.choose import choose_for_all
-    from .chosen import allowed_of, print_choice
+    from .chosen import allowed_of, print_choice, record_of
     from .models import atmosphere_of, make_atmosphere, make_solver, settings_of
     from .printing import give, progress, written
     from .refit_report import draw_skies, print_refit
@@ -146,7 +146,7 @@ def refit_command(
             (by_depth(turbidity_to_optical_depth(haze)), Scene.from_degrees(sun, dome, colours)) for sun, haze in ends
         ]
         choice = choose_for_all(skies, allowed)
-        chosen = choice.solver
+        chosen, given["choice"] = choice.solver, record_of(choice)
     size = f"{directions}, {', '.join(by_depth(0.1).names)}"
     with progress("simulating skies and fitting", f"refit {form.value}, {settings_of(chosen)}", size) as report:
         result = refit(

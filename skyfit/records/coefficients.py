@@ -8,8 +8,9 @@ constant]`, `zenith_luminance` `[tangent offset angle][slope, constant]` (kcd m^
 `held_out` (random skies of that range): `skies`, by column, with the median and 95th percentile of the relative
 luminance error and the median chromaticity distance to view zenith 80 degrees; `overall`, the same over all those
 directions of skies with the sun to 85 degrees; `rest`, over all others; `simulated`, if given, the settings of the
-skies, by the names of the command line's options; `result`, how each joint fit ended. Unknown numbers, such as the
-error of the published formula out of its range, are null. `write_evaluator` writes code that evaluates them.
+skies, by the names of the command line's options, and `choice`, how their solver was chosen, if it was; `result`, how
+each joint fit ended. Unknown numbers, such as the error of the published formula out of its range, are null.
+`write_evaluator` writes code that evaluates them.
 """
 
 import json

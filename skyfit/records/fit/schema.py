@@ -8,6 +8,7 @@ r"""The form of a fit's JSON record, and the check that a file has it.
     source                name of the measured file
     solver                name: class in skyfit.transport; then all its settings by name
     geometry              "flat" or "spherical", that of the solver
+    choice                how the solver was chosen, if it was: tolerance, expected_error, met, reasons
     instrument
       fwhm_nm             Gaussian line shape, null for none
       response            null, or names, wavelength_nm and weight [channel][wavelength]: the samples are channels

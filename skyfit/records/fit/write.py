@@ -3,8 +3,10 @@
 import json
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -177,11 +179,12 @@ def _iso(time: np.datetime64) -> str | None:
 _MOST_GAIN = 2_000_000
 
 
-def save(fit: Fit, path: str | os.PathLike) -> None:
+def save(fit: Fit, path: str | os.PathLike, *, choice: Mapping[str, Any] | None = None) -> None:
     """Write a fit, whole or not at all.
 
     **Arguments:** `fit`, from `skyfit.invert`; `path`, `*.json` for parameters and uncertainties (`load`
-    reads it back) or `*.nc` for the measured, fitted and residual radiance and the samples' weights.
+    reads it back) or `*.nc` for the measured, fitted and residual radiance and the samples' weights; `choice`, how the
+    solver was chosen, which JSON keeps.
     **Valid:** any other suffix is a `ValueError`; a failure leaves no file and keeps an old one.
 
     **Example:**
@@ -193,11 +196,14 @@ def save(fit: Fit, path: str | os.PathLike) -> None:
         ('rayleigh', 'aerosol', 'ozone')
     """
     target = Path(path)
-    writer = {".json": _write_json, ".nc": _write_field}.get(target.suffix.lower())
-    if writer is None:
+    suffix = target.suffix.lower()
+    if suffix not in (".json", ".nc"):
         raise ValueError(f"{target.name}: expected a suffix of .json, .nc, found {target.suffix!r}")
     with atomic(target) as part:
-        writer(fit, part)
+        if suffix == ".nc":
+            _write_field(fit, part)
+        else:
+            _write_json(record_of(fit) | ({} if choice is None else {"choice": choice}), part)
 
 
 def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) -> None:
@@ -241,8 +247,8 @@ def _write_field(fit: Fit, part: Path) -> None:
     data.to_netcdf(part, mode="a", engine="h5netcdf", encoding=encoding)
 
 
-def _write_json(fit: Fit, part: Path) -> None:
-    text = json.dumps(_strict(record_of(fit)), allow_nan=False, ensure_ascii=False, indent=2)
+def _write_json(record: dict, part: Path) -> None:
+    text = json.dumps(_strict(record), allow_nan=False, ensure_ascii=False, indent=2)
     part.write_text(text + "\n", encoding="utf-8")
 
 

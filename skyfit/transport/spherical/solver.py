@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ...atmosphere import Atmosphere
+from ...atmosphere import Atmosphere, Layered
 from ...numerics import as_float, check_range, concrete, within
 from ...scene import Scene
 from ..columns import EARTH_RADIUS, TOP_OF_AIR
@@ -141,8 +141,19 @@ class Spherical(AbstractSolver):
         return Spherical.draft()
 
     def suited(self, atmosphere: Atmosphere, wavelength_nm: Float[Array, " wavelength"]) -> "Spherical":
-        """This solver with as many `orders` and as fine a grid as the atmosphere needs, where it is not traced."""
+        """This solver with as many `orders` and as fine a grid as the atmosphere needs, where it is not traced.
+
+        Homogeneous layers are mostly fog; those whose height is traced give a `ThickAirWarning` without a small `near`.
+        """
         near = _near(atmosphere)
+        layered = [c.profile for c in atmosphere.constituents if c.phase is not None and isinstance(c.profile, Layered)]
+        if self.near > _NEARS[0] and any(concrete(profile.reach()) is None for profile in layered):
+            warnings.warn(
+                "a layer of traced height may be fog, which Spherical does not resolve, up to 50 % too dark: give "
+                f"`near`, and at least {_FOG_GRID[0]} levels",
+                ThickAirWarning,
+                stacklevel=2,
+            )
         if near < self.near:
             levels, on_rays, on_views = map(max, _FOG_GRID, (self.levels, self.path_nodes, self.view_nodes))
             return replace(self, near=near, levels=levels, path_nodes=on_rays, view_nodes=on_views).suited(
