@@ -3,9 +3,10 @@
     python -m experiments.benchmarks.fit_many [--skies 1000] [--batches 1 4] [--out FILE.json]
 
 Each sky has 30 directions and 8 wavelengths and a haze and a sun of its own, drawn at random; it is made by skyfit's
-own solver with 1 % noise, so that no model error is allowed for, and fitted by `fit_many` for 4 parameters. The chunks
-are compiled before. Seconds are of the wall and of the processor: other work on the machine moves the first. `batches`:
-how many of the first 64 skies go in lock-step.
+own scalar solver with 1 % noise, so that no model error is allowed for, and fitted by `fit_many` and that solver for
+4 parameters. The chunks are compiled before. Seconds are of the wall and of the processor: other work on the machine
+moves the first. `batches`: how many of the first 64 skies go in lock-step; `polarised`: those skies by the default
+solver, whose light is not theirs, for the seconds alone.
 """
 
 import argparse
@@ -39,6 +40,7 @@ WAVELENGTH_NM = np.linspace(380.0, 780.0, 8)
 NOISE, FWHM_NM, PRESSURE = 0.01, 6.0, 101325.0
 TRIED = 64
 MEASUREMENT = NoiseModel(model_error=0.0, calibration=0.0)
+SCALAR, POLARISED = (skyfit.OrdersOfScattering.normal(polarised=vector) for vector in (False, True))
 
 
 def skies(count: int) -> tuple[skyfit.Sky, np.ndarray]:
@@ -50,12 +52,12 @@ def skies(count: int) -> tuple[skyfit.Sky, np.ndarray]:
     sun = np.radians(random.uniform(*SUN_DEG, count))
     view = skyfit.hemisphere(DIRECTIONS, np.radians(MOST_ZENITH_DEG))
     irradiance = np.asarray(extraterrestrial_irradiance(WAVELENGTH_NM, FWHM_NM), float)
-    solver, model = skyfit.OrdersOfScattering.normal(), start_model(FREE, PRESSURE)
+    model = start_model(FREE, PRESSURE)
 
     def light(model: SkyModel, item):
         values, zenith = item
         scene = skyfit.Scene(zenith, 0.0, view, WAVELENGTH_NM, irradiance)
-        return simulate(solver, with_values(model, FREE, values), scene)
+        return simulate(SCALAR, with_values(model, FREE, values), scene)
 
     made = eqx.filter_jit(lambda model, items: jax.lax.map(lambda item: light(model, item), items))
     radiance = np.asarray(made(model, (jax.numpy.asarray(truth), jax.numpy.asarray(sun))), float)
@@ -76,12 +78,12 @@ def first(sky: skyfit.Sky, count: int) -> skyfit.Sky:
     return replace(sky, **{name: getattr(sky, name)[:count] for name in names})
 
 
-def timed(sky: skyfit.Sky, batch: int) -> tuple[skyfit.Fits, dict[str, float]]:
+def timed(sky: skyfit.Sky, batch: int, solver=SCALAR) -> tuple[skyfit.Fits, dict[str, float]]:
     """The fits of a sky after compilation, and what one took."""
     begin = time.perf_counter()
-    skyfit.fit_many(sky.at(0), FREE, measurement=MEASUREMENT, batch_size=batch)
+    skyfit.fit_many(sky.at(0), FREE, solver, measurement=MEASUREMENT, batch_size=batch)
     compiled, processor = time.perf_counter(), os.times()
-    found = skyfit.fit_many(sky, FREE, measurement=MEASUREMENT, batch_size=batch)
+    found = skyfit.fit_many(sky, FREE, solver, measurement=MEASUREMENT, batch_size=batch)
     wall, used = time.perf_counter() - compiled, os.times()
     count = len(sky.time)
     seconds = used.user + used.system - processor.user - processor.system
@@ -102,7 +104,9 @@ def main():
     given = arguments.parse_args()
 
     sky, truth = skies(given.skies)
-    tried = {batch: timed(first(sky, min(TRIED, given.skies)), batch)[1] for batch in given.batches}
+    few = first(sky, min(TRIED, given.skies))
+    tried = {batch: timed(few, batch)[1] for batch in given.batches}
+    vector = timed(few, 1, POLARISED)[1]
     found, seconds = timed(sky, 1)
     off = np.abs(found.values - truth) / found.sigma
     report = {
@@ -119,6 +123,7 @@ def main():
         "at a bound": {n: int(v) for n, v in zip(FREE, found.at_bound.sum(axis=0), strict=True)},
         **seconds,
         "load of the machine": [round(v, 1) for v in os.getloadavg()],
+        "polarised": vector,
         "in lock-step": {str(batch): about for batch, about in tried.items()},
         **made_with(SEED, ("optimistix",)),
     }  # fmt: skip
