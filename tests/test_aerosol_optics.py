@@ -13,6 +13,7 @@ from made_skies import as_sky, by_hand, EXACT, FREE, PLAIN, SOLVER
 import skyfit
 from skyfit.atmosphere import Atmosphere, Ground, Ozone, Rayleigh
 from skyfit.light import extraterrestrial_irradiance
+from skyfit.programs import keep_in
 from skyfit.retrieve import SkyModel
 
 
@@ -85,6 +86,20 @@ def test_the_size_distribution_holds_the_volumes_and_its_sigma_is_that_of_the_pa
     moved = replace(fit, values=row[None])
     change = skyfit.aerosol_products(moved, radius_um=radius).volume_size_distribution[0] - density
     assert np.all(np.abs(change) <= 1.1 * products.volume_size_distribution_sigma[0] + 1e-6)
+
+
+def test_kept_programs_give_the_same(x64, fit, tmp_path):
+    plain = skyfit.aerosol_optics(fit), skyfit.aerosol_products(fit)
+    keep_in(tmp_path)
+    try:
+        kept = skyfit.aerosol_optics(fit), skyfit.aerosol_products(fit)
+    finally:
+        keep_in(None)
+    assert len(list(tmp_path.glob("derived-*.exported"))) == 2
+    assert list(kept[0]) == list(plain[0]) and list(kept[1]) == list(plain[1])
+    for name, one in plain[0].items():
+        np.testing.assert_allclose([kept[0][name].value, kept[0][name].sigma], [one.value, one.sigma], rtol=1e-9)
+    xarray.testing.assert_allclose(kept[1], plain[1], rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["aerosol.nc", "aerosol.csv"])

@@ -131,7 +131,7 @@ def test_fog_whose_height_is_traced_is_warned_of():
     fog = HAZY.replace(fog=skyfit.Droplets.fog(0.02, 100.0))
     scene = skyfit.Scene.from_degrees(50.0, skyfit.Directions.from_degrees([45.0], [150.0]), ONE)
     for air, solver, warned in ((fog, SMALL, True), (HAZY, SMALL, False), (fog, replace(SMALL, near=30.0), False)):
-        with pytest.warns(ThickAirWarning, match="may be fog") if warned else nullcontext():
+        with pytest.warns(ThickAirWarning, match="if they are fog") if warned else nullcontext():
             jax.eval_shape(solver.radiance, air, scene)
 
 

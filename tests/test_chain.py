@@ -336,6 +336,9 @@ def test_a_nonlinear_joint_problem_has_the_minimum_that_scipy_finds(x64, times):
         assert steps == 1 and np.all(flat(again) == flat(found))
         moved, _, _, _ = eqx.filter_jit(minimise)(decays, found, arguments, taken, free, 0, 2)
         assert np.allclose(flat(moved), flat(found), atol=0.1 * sigma.min()) == same
+        # what is taken over counts for the first step alone
+        end, _, _, _ = eqx.filter_jit(minimise)(decays, found, arguments, taken, free, 0, 50)
+        assert np.all(np.abs(flat(end) - expected.x) < 0.02 * sigma)
 
 
 def test_the_number_of_steps_is_limited(x64):

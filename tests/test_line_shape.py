@@ -35,7 +35,7 @@ def test_the_width_of_the_lines_is_found_in_fine_spectra(width):
     fine = np.arange(370.0, 691.0, 1.0)
     # noise of 0.1 % is what a mean over a scan has left
     sky = as_sky(sunlight(fine, width), 1e-3, seed=7, wavelength_nm=fine)
-    assert estimate_fwhm(sky) == pytest.approx(width, abs=0.5)
+    assert estimate_fwhm(sky) == pytest.approx(width, abs=0.3)
 
 
 def test_an_unknown_width_is_estimated_and_said(x64):

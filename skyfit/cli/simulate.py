@@ -89,7 +89,7 @@ def simulate(
     from ..measured.writing import skyfit_version
     from ..programs import keep_in
     from ..scene import Directions, hemisphere, Scene
-    from ..transport import check_scene, choose, low_sun, LowSunWarning, Spherical
+    from ..transport import check_scene, choose, low_sun, LowSunWarning, Spherical, ThickAirWarning
     from .chosen import allowed_of, print_choice, record_of
     from .models import (
         in_words,
@@ -139,6 +139,8 @@ def simulate(
                 chosen = chosen.suited(air, scene.wavelength_nm)
                 # Checked here with concrete values, because traced ones are not checked
                 check_scene(chosen, air, scene)
+                # Traced, droplets may be fog; the solver is suited to what they are
+                warnings.simplefilter("ignore", ThickAirWarning)
                 found = kept_radiance(chosen, air, scene)
             for said in (low_sun(chosen, scene.sun_zenith), chosen.doubt(air)):
                 if said is not None:

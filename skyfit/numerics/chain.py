@@ -258,7 +258,8 @@ class ChainDescent(optx.AbstractDescent):
 
     As in `MarquardtDescent`, unknowns at the edge of the box that would leave it are held while the others move. The
     last `linear` shared unknowns, in which the residuals are linear and which have priors, are not damped. The step
-    goes to their best values, so that no narrow valley along them slows the others down.
+    goes to their best values, so that no narrow valley along them slows the others down. $\lambda$ of the first step is
+    `first_damping`.
     """
 
     limit: Point

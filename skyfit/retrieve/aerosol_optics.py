@@ -115,7 +115,8 @@ def _with_sigma(fit: Fit, at: tuple | None) -> dict[str, tuple[np.ndarray, np.nd
         return np.where(touched, np.inf, np.sqrt(np.maximum(variance, 0.0)))
 
     return {
-        name: (np.asarray(values[name], float), sigma_of(np.asarray(slopes[name], float))) for name in _names(start, at)
+        name: (np.asarray(values[name], float), sigma_of(np.asarray(slopes[name], float)))
+        for name in sorted(_names(start, at))
     }
 
 

@@ -30,7 +30,7 @@ class LowSunWarning(UserWarning):
 
 
 class ThickAirWarning(UserWarning):
-    """The orders of scattering that a solver leaves out may be more than three hundredths of the light."""
+    """The light that a solver leaves out in thick air, or in fog that it does not resolve, may be per cents of it."""
 
 
 class Suns(NamedTuple):

@@ -203,7 +203,7 @@ def save(fit: Fit, path: str | os.PathLike, *, choice: Mapping[str, Any] | None 
         if suffix == ".nc":
             _write_field(fit, part)
         else:
-            _write_json(record_of(fit) | ({} if choice is None else {"choice": choice}), part)
+            _write_json(record_of(fit) | ({} if choice is None else {"choice": dict(choice)}), part)
 
 
 def write_prediction(sky: Sky, radiance: np.ndarray, path: str | os.PathLike) -> None:

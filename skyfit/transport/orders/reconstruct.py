@@ -157,9 +157,6 @@ def _seen_aloft(
     step = jnp.stack([sloped(source, depth[:, None]) for source in sources], axis=1)
     emitted = (slant * first)[:, None] * jnp.moveaxis(sources, 0, 1) + tilt[:, None] * step
     # Views up see light on its way down through the layers above, views down light on its way up from the ground.
-    through, emitted = (
-        jnp.where(jnp.expand_dims(climbs, range(1, v.ndim - 2)), v, v[::-1])
-        for v in (jnp.exp(-slant)[:, None], emitted)
-    )
+    through, emitted = (jnp.where(climbs[:, None], v, v[::-1]) for v in (jnp.exp(-slant)[:, None], emitted))
     ground = jnp.where(climbs[0], 0.0, reflected[None])
     return _passed(jnp.pad(ground[None], ((0, sources.shape[0] - 1), (0, 0), (0, 0))), through, emitted)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ...atmosphere import Atmosphere, Layered
+from ...atmosphere import Atmosphere, Droplets
 from ...numerics import as_float, check_range, concrete, within
 from ...scene import Scene
 from ..columns import EARTH_RADIUS, TOP_OF_AIR
@@ -61,7 +61,8 @@ class Spherical(AbstractSolver):
     further order carries the moments of the last one along curved paths. Moments of degree 3 and more, which only haze
     has, are taken from the column over the place. The orders are combined as in GMRES, and what the combination leaves
     over falls off as the last order does. If it is more than 3 % of the light, an atmosphere that is not traced gives a
-    `ThickAirWarning`. Phase functions are cut by delta-M; single scattering uses the whole of them (TMS).
+    `ThickAirWarning`; a traced one does where droplets may be fog. Phase functions are cut by delta-M; single
+    scattering uses the whole of them (TMS).
 
     `levels` of height; `moments` of the phase functions, even; `up`, `flat`, `down`, numbers of zenith angles of the
     rays of a level: to the sky, between its horizon and level views, and to the ground; `orders` for thin air (thick
@@ -143,14 +144,14 @@ class Spherical(AbstractSolver):
     def suited(self, atmosphere: Atmosphere, wavelength_nm: Float[Array, " wavelength"]) -> "Spherical":
         """This solver with as many `orders` and as fine a grid as the atmosphere needs, where it is not traced.
 
-        Homogeneous layers are mostly fog; those whose height is traced give a `ThickAirWarning` without a small `near`.
+        `Droplets` of traced height may be fog: they give a `ThickAirWarning` unless `near` is that of fog.
         """
         near = _near(atmosphere)
-        layered = [c.profile for c in atmosphere.constituents if c.phase is not None and isinstance(c.profile, Layered)]
-        if self.near > _NEARS[0] and any(concrete(profile.reach()) is None for profile in layered):
+        droplets = [c for c in atmosphere.constituents if isinstance(c, Droplets)]
+        if self.near > _NEARS[0] and any(concrete(c.profile.reach()) is None for c in droplets):
             warnings.warn(
-                "a layer of traced height may be fog, which Spherical does not resolve, up to 50 % too dark: give "
-                f"`near`, and at least {_FOG_GRID[0]} levels",
+                f"droplets of traced height: if they are fog, lower than {_FOG:g} m, its light is up to 50 % too dark "
+                f"without `near` of {_NEARS[0]:g} m or less, as `suited` gives it outside jit",
                 ThickAirWarning,
                 stacklevel=2,
             )
