@@ -74,7 +74,7 @@ plt.show()
 # ## The whole fit on a page
 #
 # `skyfit.plot` draws the measured sky, the model, what is left, and the parameters. `skyfit.save` writes `fit.json`
-# with the covariance, or `fit.nc` with the residuals of every sample.
+# with sigma and correlations, or `fit.nc` with the residuals of every sample.
 
 # %%
 Path("build").mkdir(exist_ok=True)
@@ -86,7 +86,8 @@ axes.axis("off")
 plt.show()
 
 # %% [markdown]
-# The command line does the same with `skyfit invert data/skies/sample.nc --out fit`.
+# The command line does the same, by `normal`, with `skyfit invert data/skies/sample.nc --out fit --free` and the six
+# names with commas between them. Without `--free` it asks for spheres.
 #
 # Next: a scan of your own. [Read your instrument's file](../how-to/instruments.md),
 # [choose what is free](../how-to/free-parameters.md), and mind

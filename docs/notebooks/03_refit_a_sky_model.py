@@ -92,5 +92,6 @@ plt.show()
 # %% [markdown]
 # *The simulated sky, the published model, the refit, and how far off the luminance of both is.*
 #
-# The command line does all this with `skyfit refit --out refit` and `skyfit export refit/coefficients.json --to glsl
-# --out sky.glsl`. See [use an analytic sky](../how-to/analytic-skies.md).
+# The command line refits with `skyfit refit --out refit`, whose options describe the haze, and writes the shader with
+# `skyfit export refit/coefficients.json --to glsl --out sky.glsl`. See
+# [use an analytic sky](../how-to/analytic-skies.md).

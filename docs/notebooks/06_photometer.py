@@ -49,7 +49,7 @@ plt.show()
 # %% [markdown]
 # ## Invert
 #
-# Nothing is named as free: of spectra `invert` asks for spheres in two modes of size, their refractive index, and the
+# Nothing is named as free: for spectra `invert` asks for spheres in two modes of size, their refractive index, and the
 # ground. `draft` keeps this page quick, and the last note says what that costs; leave `solver` out for `normal`.
 
 # %%
@@ -88,5 +88,5 @@ right.legend(frameon=False, loc="center right", fontsize=8)
 plt.show()
 
 # %% [markdown]
-# On the command line: `skyfit invert data/skies/almucantar.alm --out fit --products`. Which files are known, and what
-# is assumed of each, stands in [read your instrument's file](../how-to/instruments.md).
+# The command line does the same, by `normal`, with `skyfit invert data/skies/almucantar.alm --out fit --products`. Which
+# files are known, and what is assumed of each, stands in [read your instrument's file](../how-to/instruments.md).
