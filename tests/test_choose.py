@@ -277,7 +277,7 @@ def test_the_error_to_expect_is_the_model_error_of_a_fit(skyfit_command, tmp_pat
     expected = float(re.search(r"error to expect: ([\d.e+-]+) %", done.stdout)[1])
     assert 100.0 * kept["measurement"]["model_error"] == pytest.approx(expected, rel=0.06)
     assert kept["choice"]["tolerance"] == 1.0 and kept["choice"]["met"] and len(kept["choice"]["reasons"]) > 3
-    assert skyfit.load(tmp_path / "fit" / "fit.json").free == ("aerosol_optical_depth",)
+    assert skyfit.load(tmp_path / "fit" / "fit.json").solver.geometry == kept["geometry"]
 
 
 def test_numbers_that_decide_are_finite_in_hard_scenes():
