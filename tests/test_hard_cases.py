@@ -20,6 +20,7 @@ from skies import (
 
 import skyfit
 from skyfit.atmosphere import Aerosol, Ozone, Rayleigh
+from skyfit.transport import Spherical
 
 
 # --- hard cases
@@ -72,11 +73,17 @@ def hard_program(solver, reverse):
     def fields(parameters):
         atmosphere, sun = parameters
         scene = skyfit.Scene(sun, 0.3, VIEW, COLOURS, jnp.ones(len(COLOURS)))
-        fluxes = jnp.stack([v for v in solver.fluxes(atmosphere, scene) if v is not None])
-        return {"radiance": solver.radiance(atmosphere, scene), "flux": fluxes}
+        if isinstance(solver, Spherical):
+            # solved once, as radiance and fluxes each do
+            field = solver.prepare(atmosphere, COLOURS, sun_zenith=sun, height=0.0)
+            light, found = field.radiance(scene), field.fluxes(scene)
+        else:
+            light, found = solver.radiance(atmosphere, scene), solver.fluxes(atmosphere, scene)
+        return {"radiance": light, "flux": jnp.stack([v for v in found if v is not None])}
 
     def forward(parameters):
-        return fields(parameters), jax.jacfwd(fields)(parameters)
+        slopes, found = jax.jacfwd(lambda p: (fields(p),) * 2, has_aux=True)(parameters)
+        return found, slopes
 
     def backward(parameters):
         def total(parameters):
