@@ -88,5 +88,6 @@ right.legend(frameon=False, loc="center right", fontsize=8)
 plt.show()
 
 # %% [markdown]
-# The command line does the same, by `normal`, with `skyfit invert data/skies/almucantar.alm --out fit --products`. Which
-# files are known, and what is assumed of each, stands in [read your instrument's file](../how-to/instruments.md).
+# The command line does the same, by `normal`, with `skyfit invert data/skies/almucantar.alm --out fit --products`.
+# Which files are known, and what is assumed of each, stands in [read your instrument's
+# file](../how-to/instruments.md).

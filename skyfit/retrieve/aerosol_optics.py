@@ -170,7 +170,7 @@ def _radii(aerosol: _SPHERES) -> dict:
 def _products(model: SkyModel, wavelength, radius) -> dict:
     aerosol = model.atmosphere.aerosol
     depth, albedo, asymmetry = _spectra(aerosol, wavelength)
-    found = dict(zip(_SPECTRA, (depth, albedo, asymmetry), strict=True))
+    found: dict[str, Array] = dict(zip(_SPECTRA, (depth, albedo, asymmetry), strict=True))
     found["absorption_optical_depth"] = depth * (1.0 - albedo)
     if not isinstance(aerosol, _SPHERES):
         return found
