@@ -179,18 +179,18 @@ def starts(skies: int = 20, each: int = 25) -> dict:
         for k in range(1, each + 1):
             one = jax.tree.map(lambda v, k=k: v[k : k + 1], points)
             ends.append(solve(asked, here, one))
-        # by the stated noise: each end has a noise of its own that its residuals showed, and the cost is by that
-        costs = np.array([float(e.chi_square[0]) for e in ends])
-        best = np.nanmin(costs)
+        # by the stated noise: each end's cost is by the noise that its own residuals showed
+        chi_squares = np.array([float(e.chi_square[0]) for e in ends])
+        best = np.nanmin(chi_squares)
         at_truth = float(np.sum(((radiance - clean) / (0.01 * clean)) ** 2)) / (clean.size - len(STARTS_FREE))
         below_truth += best <= at_truth
-        reached += int(np.sum(costs <= 1.01 * best))
-        beyond += int(np.sum(~(costs <= 1.01 * best)))
+        reached += int(np.sum(chi_squares <= 1.01 * best))
+        beyond += int(np.sum(~(chi_squares <= 1.01 * best)))
         finite = np.array([bool(e.finite) for e in ends])
         flagged += int(np.sum(~finite))
-        unflagged += int(np.sum(~np.isfinite(costs) & finite))
+        unflagged += int(np.sum(~np.isfinite(chi_squares) & finite))
         steps += [int(e.steps) for e in ends]
-        print(number, best, at_truth, np.sum(costs <= 1.01 * best), flush=True)
+        print(number, best, at_truth, np.sum(chi_squares <= 1.01 * best), flush=True)
     return {
         "starts": skies * each,
         "reached": reached,

@@ -374,8 +374,7 @@ def minimise(
     """
     descent = ChainDescent(limit, linear, jnp.asarray(first_damping))
     solver = ChainMarquardt(descent=descent, max_steps=jnp.asarray(max_steps), tolerance=jnp.asarray(tolerance))
-    given = arguments, begin
-    solution = optx.least_squares(rows, solver, point, given, has_aux=True, max_steps=None, throw=False)
+    solution = optx.least_squares(rows, solver, point, (arguments, begin), has_aux=True, max_steps=None, throw=False)
     # The sum of a point and a step to the edge may be beyond the edge by rounding.
     end = jax.tree.map(lambda p, edge: jnp.clip(p, -edge, edge), solution.value, limit)
     return end, solution.state.aux, solution.stats["num_steps"], solution.result

@@ -114,10 +114,7 @@ def _with_sigma(fit: Fit, at: tuple | None) -> dict[str, tuple[np.ndarray, np.nd
         touched = np.einsum("t...p,tp->t...", slope != 0.0, open_ended)
         return np.where(touched, np.inf, np.sqrt(np.maximum(variance, 0.0)))
 
-    return {
-        name: (np.asarray(values[name], float), sigma_of(np.asarray(slopes[name], float)))
-        for name in sorted(_names(start, at))
-    }
+    return {name: (np.asarray(v, float), sigma_of(np.asarray(slopes[name], float))) for name, v in values.items()}
 
 
 def _derived(start: SkyModel, free: tuple[str, ...], rows: Float[Array, "time parameter"], at: tuple | None):
@@ -133,20 +130,15 @@ def _derived(start: SkyModel, free: tuple[str, ...], rows: Float[Array, "time pa
     return jax.lax.map(lambda row: (of(row), jax.jacfwd(of)(row)), rows)
 
 
-def _names(start: SkyModel, at: tuple | None) -> list[str]:
-    """The names of the quantities of `_derived`."""
+def _shape_of(start: SkyModel, _, __, at: tuple | None) -> tuple[dict, dict]:
+    """A tree with the structure of the result of `_derived`: the names of the quantities."""
     if at is None:
         names = [f"{name}_{nm:.0f}" for name in _SPECTRA for nm in _WAVELENGTHS] + ["angstrom_exponent_440_870"]
     else:
-        names = [_SPECTRA[0], "absorption_optical_depth", *_SPECTRA[1:]]
-    if not isinstance(start.atmosphere.aerosol, _SPHERES):
-        return names
-    return [*names, *(_OF_SPHERES if at is not None else ()), *_RADII]
-
-
-def _shape_of(start: SkyModel, _, __, at: tuple | None) -> tuple[dict, dict]:
-    """A tree with the structure of the result of `_derived`."""
-    one = dict.fromkeys(_names(start, at), 0)
+        names = [*_SPECTRA, "absorption_optical_depth"]
+    if isinstance(start.atmosphere.aerosol, _SPHERES):
+        names += [*(() if at is None else _OF_SPHERES), *_RADII]
+    one = dict.fromkeys(names, 0)
     return one, one
 
 

@@ -160,9 +160,9 @@ def search(
         near = jnp.where(last, _NEAR * weighing.of_all(), _FIRST_NEAR)
         damping = jnp.where(last, _DAMPED, _FIRST_DAMPED)
         # where all searches failed, nothing is known
-        known = Begin(best.known, last & jnp.isfinite(best.cost))
+        taken = Begin(best.known, last & jnp.isfinite(best.cost))
         point, known, steps, result = minimise(
-            rows, begin, arguments, known, limit, none, numbers.max_steps, near, damping
+            rows, begin, arguments, taken, limit, none, numbers.max_steps, near, damping
         )
         total = total_of(point, known, weighing)
         total = jnp.where(jnp.isfinite(total), total, jnp.inf)

@@ -39,8 +39,9 @@ def estimate_fwhm(sky: Sky) -> float:
         sun = extraterrestrial_irradiance(wavelength[inside], fwhm)
         return np.sum(np.diff(np.log(spectrum / sun), 2) ** 2)
 
-    candidates = np.arange(_NARROWEST, _WIDEST + 0.01, _STEPS[0])
-    best = candidates[np.argmin([roughness(width) for width in candidates])]
-    candidates = np.arange(best - _STEPS[0], best + _STEPS[0] + 0.01, _STEPS[1])
-    candidates = candidates[(candidates >= _NARROWEST) & (candidates <= _WIDEST)]
-    return float(candidates[np.argmin([roughness(width) for width in candidates])])
+    def best(low, high, step):
+        widths = np.arange(max(low, _NARROWEST), min(high, _WIDEST) + 0.01, step)
+        return float(widths[np.argmin([roughness(width) for width in widths])])
+
+    near = best(_NARROWEST, _WIDEST, _STEPS[0])
+    return best(near - _STEPS[0], near + _STEPS[0], _STEPS[1])
