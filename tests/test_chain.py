@@ -341,6 +341,37 @@ def test_a_nonlinear_joint_problem_has_the_minimum_that_scipy_finds(x64, times):
         assert np.all(np.abs(flat(end) - expected.x) < 0.02 * sigma)
 
 
+def decays_by_slopes(point: Point, given):
+    """`decays`, linear about the point, with the slope of the curve that was found last, counted, where it serves."""
+    (place, measured), begin = given
+    here = jax.lax.stop_gradient(point.shared[0])
+    curve, slope = jax.jvp(lambda rate: jnp.exp(-jnp.exp(rate) * place)[None], (here,), (jnp.ones_like(here),))
+    slope = jnp.where(begin.close, begin.known["slope"], slope)
+    moved = curve + slope * (point.shared[0] - here)
+    rows, _ = decays(point, (given[0], Begin({"curve": moved}, jnp.asarray(True))))
+    return rows, {"slope": slope, "renewed": begin.known["renewed"] + jnp.where(begin.close, 0, 1)}
+
+
+def test_near_the_end_slopes_are_not_renewed(x64):
+    random = np.random.default_rng(5)
+    place = np.linspace(0.0, 2.0, 12)
+    measured = 1.3 * np.exp(-1.7 * place) + 0.6 + 0.05 * random.normal(size=(1, 12))
+    arguments, start = (jnp.asarray(place), jnp.asarray(measured)), Point(jnp.ones((1, 2)), jnp.zeros(1))
+    begin = Begin({"slope": jnp.zeros((1, 12)), "renewed": jnp.asarray(0)}, jnp.asarray(False))
+    free = jax.tree.map(lambda v: jnp.full_like(v, jnp.inf), start)
+
+    def found(near):
+        return eqx.filter_jit(minimise)(decays_by_slopes, start, arguments, begin, free, 0, 50, 1e-3, 0.1, near)
+
+    each, known, steps, _ = found(0.0)
+    # a step that is refused renews them too
+    assert steps - 2 <= known["renewed"] <= steps
+    kept, some, more, result = found(1.0)
+    assert result_name(result) == "successful" and more <= steps + 3
+    assert some["renewed"] <= known["renewed"] - 2
+    np.testing.assert_allclose(flat(kept), flat(each), atol=1e-3)
+
+
 def test_the_number_of_steps_is_limited(x64):
     _, steps, successful = boxed(chain(5, 3, 4, True), 10.0, 1)
     assert steps == 1 and not successful

@@ -181,11 +181,11 @@ def invert_command(
     keep_in(jax.config.jax_compilation_cache_dir)  # pyright: ignore[reportAttributeAccessIssue]
     size = f"{measured.radiance.shape}, {', '.join(names)}; {', '.join(common)}; {starts} starts, jackknife {jackknife}"
 
-    def fitted(last, first, start, measurement):
+    def fitted(last, start, measurement):
         with progress("fitting", f"invert, {settings_of(last)}", size) as report:
             return invert(
                 measured, asked, last, start, progress=report, shared=common, measurement=measurement,
-                response=channels, priors=priors, smooth=smoothed, draft=first, starts=starts,
+                response=channels, priors=priors, smooth=smoothed, starts=starts,
                 jackknife=_GROUPS if jackknife else 0,
             )  # fmt: skip
 
@@ -194,9 +194,7 @@ def invert_command(
         spectral = channels is None and measured.response is None
         vector = spectral and solver == "orders" if polarised is None else polarised
         last = make_solver(solver, preset, geometry, vector)
-        # For "orders" `invert` makes the coarser solver itself
-        first = None if solver == "orders" else make_solver(solver, PresetName.draft, geometry, vector)
-        fit = fitted(last, first, start, measurement)
+        fit = fitted(last, start, measurement)
     else:
         scenes = scenes_of(measured, start.atmosphere, channels)
         models, fit = [start] * len(scenes), None
@@ -206,7 +204,7 @@ def invert_command(
                 break
             choice = found
             allows = measurement if model_error is not None else replace(measurement, model_error=found.expected_error)
-            fit = fitted(found.solver, None, models[0], allows)
+            fit = fitted(found.solver, models[0], allows)
             models = fit.fitted.models
         assert fit is not None
     out.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,6 @@ import os
 import shutil
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -108,9 +107,6 @@ def fit_many(
         if not (isinstance(value, int) and value >= 1):
             raise ValueError(f"`{name}` must be a whole number of 1 or more, got {value!r}")
     asked = prepared(sky, free, solver, start, fwhm_nm, max_steps, (), measurement, response, priors, None, draft)
-    # compiling one more solver pays off over many skies
-    if draft is None:
-        asked = replace(asked, slopes=asked.solver.coarser())
     settings = _settings(asked, max_steps, guess, starts)
     times = len(sky.time)
     target = None if path is None else Path(path)

@@ -82,19 +82,12 @@ class Parameter(NamedTuple):
 
     def bound(self, free):
         """The value at an unconstrained `free` number: a logistic curve between the bounds."""
-        return self.from_scale(self.on_scale(free))
-
-    def on_scale(self, free):
-        """The same as `bound`, on the parameter's scale: the logarithm if `log` is set, else the value itself."""
         low, high = self.ends()
-        return low + (high - low) * jax.nn.sigmoid(free)
-
-    def from_scale(self, scaled):
-        """The value at a position on the parameter's scale."""
+        scaled = low + (high - low) * jax.nn.sigmoid(free)
         return jnp.exp(scaled) if self.log else scaled
 
     def to_scale(self, value: float) -> float:
-        """The inverse of `from_scale`, for one number."""
+        """The position of a value on the parameter's scale: its logarithm if `log` is set, else the value itself."""
         return float(np.log(value)) if self.log else float(value)
 
     def unbound(self, value: float) -> float:

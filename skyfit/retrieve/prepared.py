@@ -50,7 +50,7 @@ class Prepared:
     """A checked request for a fit of a sky.
 
     `own` and `shared` are in the order of `PARAMETERS`, so that the same names in another order use the same compiled
-    program. `slopes`: solver of the derivatives, None for the same solver. `places` `[time, direction]`: the directions
+    program. `slopes`: solver of the derivatives. `places` `[time, direction]`: the directions
     that `problem` holds. `rows`: the priors on the parameters' scales. `linked`: whether neighbours in time are tied.
     """
 
@@ -59,7 +59,7 @@ class Prepared:
     own: tuple[str, ...]
     shared: tuple[str, ...]
     solver: AbstractSolver
-    slopes: AbstractSolver | None
+    slopes: AbstractSolver
     start: SkyModel
     measurement: NoiseModel
     priors: dict[str, tuple[float, float]]
@@ -160,7 +160,9 @@ def prepared(
         sampling.notes.append("pointing held: the instrument follows the sun; `free` names it where it does not")
     sampling.notes += [*_assumed(sky, start, free), *_unlike_its_maker(sky, start, free)]
     if sky.degree_of_polarisation is not None:
-        _check_polarised((solver, solver if draft is None else draft), measurement)
+        draft = solver if draft is None else draft
+        _check_polarised((solver, draft), measurement)
+    draft = solver.coarser() if draft is None else draft
     chosen = sampling.chosen()
     if chosen.size == 0:
         raise ValueError(f"`sky` has no usable sample at {SPECTRUM_NM[0]:g}-{SPECTRUM_NM[1]:g} nm")

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..measured.noise import Loss
 from ..numerics.chain import Begin, Point, reduced, Rows
@@ -104,19 +104,33 @@ class Known(NamedTuple):
     turn: Float[Array, "*time direction channel axis"]
 
 
+def ends_of(names: tuple[str, ...], dtype) -> tuple[Float[Array, " parameter"], Float[Array, " parameter"]]:
+    """The bounds of the parameters on their scales."""
+    ends = np.array([PARAMETERS[n].ends() for n in names]).reshape(-1, 2)
+    return jnp.asarray(ends[:, 0], dtype), jnp.asarray(ends[:, 1], dtype)
+
+
+def on_scale(names: tuple[str, ...], free: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
+    """Positions of unconstrained numbers on the parameters' scales, all at once: fewer programs to compile."""
+    low, high = ends_of(names, free.dtype)
+    return low + (high - low) * jax.nn.sigmoid(free)
+
+
+def from_scale(names: tuple[str, ...], scaled: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
+    """Values at positions on the parameters' scales, in the parameters' stated units."""
+    log = np.array([PARAMETERS[n].log for n in names], bool)
+    return jnp.where(log, jnp.exp(jnp.where(log, scaled, 0.0)), scaled)
+
+
 def bound(names: tuple[str, ...], free: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
     """Values of unconstrained numbers, in the parameters' stated units."""
-    return jnp.stack([PARAMETERS[n].bound(free[i]) for i, n in enumerate(names)])
+    return from_scale(names, on_scale(names, free))
 
 
 def values_at(choices: Choices, point: Point) -> Float[Array, "time parameter"]:
     """Values of each time, in the parameters' stated units, in the order own, shared."""
     shared = jnp.broadcast_to(point.shared[: len(choices.shared)], (point.own.shape[0], len(choices.shared)))
     return jax.vmap(lambda free: bound(choices.names, free))(jnp.concatenate([point.own, shared], axis=1))
-
-
-def on_scale(names: tuple[str, ...], free: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
-    return jnp.stack([PARAMETERS[n].on_scale(free[i]) for i, n in enumerate(names)])
 
 
 def _with_slope(names: tuple[str, ...], free):
@@ -203,12 +217,16 @@ def linearised(
     fixed: SkyModel,
     scaled,
     one: Problem,
+    begin: Begin,
+    exact: Bool[Array, ""],
 ) -> Known:
-    """The solver's output for one time, and its slopes by the parameters on their scales, by `slopes_by` if given.
+    """The solver's output for one time, and its slopes by the parameters on their scales.
 
-    The slopes are difference quotients over a small share of each range, kept inside it. They are one-sided in double
-    precision, and two-sided over a larger share in single precision. Values and slopes are thus one loop through one
-    copy of the solver. Compiling forward-mode slopes would take most of the time of a first retrieval.
+    The slopes are those known where the end is close (`Begin`), else new ones: of `slopes_by` if given and `exact` is
+    not set, or of the solver itself. They are difference quotients over a small share of each range, kept inside it:
+    one-sided in double precision, two-sided over a larger share in single precision. Values and slopes are thus one
+    loop through one copy of the solver, whose length is traced. Compiling forward-mode slopes would take most of the
+    time of a first retrieval.
     """
     count = len(names)
     # the slopes by the pointing are needed even if it is not fitted
@@ -216,7 +234,7 @@ def linearised(
     names = names + tuple(others)
     held = [PARAMETERS[n].from_leaf(PARAMETERS[n].leaf(fixed)) for n in others]
     scaled = jnp.concatenate([scaled, jnp.stack(held).astype(scaled.dtype)]) if others else scaled
-    low, high = (jnp.asarray(ends, scaled.dtype) for ends in zip(*(PARAMETERS[n].ends() for n in names), strict=True))
+    low, high = ends_of(names, scaled.dtype)
     share, both = _DIFFERENCE[scaled.dtype == jnp.float64]
     step = share * (high - low)
     if both:
@@ -226,19 +244,36 @@ def linearised(
         ahead, behind = jnp.where(scaled + step <= high, step, -step), jnp.zeros_like(step)
         moves = jnp.diag(ahead)
     points = scaled[None] + jnp.concatenate([jnp.zeros_like(moves[:1]), moves])
+    known = begin.known
+    old = _samples(known.radiance, known.beside)
 
-    def read(solver, scaled):
-        values = [PARAMETERS[n].from_scale(scaled[i]) for i, n in enumerate(names)]
-        found = observe(solver, with_values(fixed, names, values), one)
-        return found.radiance, found.beside
+    def first(solver, some):
+        """Samples at the first `some` points."""
 
-    every = jax.lax.map(lambda point: read(slopes_by or solver, point), points)
-    samples = jax.vmap(_samples)(*every)
-    radiance, beside = jax.tree.map(lambda v: v[0], every) if slopes_by is None else read(solver, scaled)
+        def at(i, found):
+            reading = observe(solver, with_values(fixed, names, from_scale(names, points[i])), one)
+            return found.at[i].set(_samples(reading.radiance, reading.beside))
+
+        return jax.lax.fori_loop(0, some, at, jnp.zeros((len(points), old.size), old.dtype))
+
+    every, none = len(points), jnp.zeros((), int)
+    if slopes_by is None:
+        samples = first(solver, jnp.where(begin.holds, none, jnp.where(begin.close, 1, every)))
+        values, renewed = jnp.where(begin.holds, old, samples[0]), ~(begin.holds | begin.close)
+    else:
+        coarse = first(slopes_by, jnp.where(exact | begin.close, none, every))
+        whole = first(solver, jnp.where(exact & ~begin.close, every, 1))
+        samples, values, renewed = jnp.where(exact, whole, coarse), whole[0], ~begin.close
     after, before = samples[1 : len(names) + 1], samples[len(names) + 1 :] if both else samples[:1]
     jacobian = ((after - before) / (ahead - behind)[:, None]).T
-    turn = jnp.stack([jacobian[: radiance.size, names.index(n)] for n in POINTING], axis=-1) * (180.0 / np.pi)
-    return Known(radiance, beside, jacobian[:, :count], turn.reshape(*radiance.shape, len(POINTING)))
+    turn = jnp.stack([jacobian[: known.radiance.size, names.index(n)] for n in POINTING], axis=-1) * (180.0 / np.pi)
+    radiance, beside = values[: known.radiance.size], values[known.radiance.size :]
+    return Known(
+        radiance.reshape(known.radiance.shape),
+        None if known.beside is None else beside,
+        jnp.where(renewed, jacobian[:, :count], known.jacobian),
+        jnp.where(renewed, turn.reshape(known.turn.shape), known.turn),
+    )
 
 
 def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolver | None):
@@ -246,7 +281,7 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
     names, count = choices.names, len(choices.own)
 
     def rows(point: Point, given: tuple[tuple, Begin]):
-        (fixed, problem, priors, weighing, threshold), begin = given
+        (fixed, problem, priors, weighing, threshold, exact), begin = given
         here = jax.lax.stop_gradient(point)
         channels = problem.measured.shape[2]
         shared, calibration = here.shared[: len(choices.shared)], calibration_of(choices, here, channels)
@@ -258,9 +293,7 @@ def objective(choices: Choices, solver: AbstractSolver, slopes_by: AbstractSolve
         def at(item):
             own, one, weighing, tight, prior, known = item
             scaled, slope = _with_slope(names, jnp.concatenate([own, shared]))
-            known = jax.lax.cond(
-                begin.holds, lambda: known, lambda: linearised(names, solver, slopes_by, fixed, scaled, one)
-            )
+            known = linearised(names, solver, slopes_by, fixed, scaled, one, begin._replace(known=known), exact)
             after = trusted(choices, threshold, one, known, calibration, weighing)
             columns = columns_of(choices, one, known, calibration, slope)
             columns = columns * (weight_of(one, weighing) * after.slope)[:, None]

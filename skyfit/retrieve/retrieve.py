@@ -10,7 +10,7 @@ import optimistix as optx
 from ..measured.noise import Loss
 from ..numerics.chain import Begin, minimise, Point
 from ..transport import AbstractSolver
-from .components import Expected, KINDS
+from .components import Components, Expected, KINDS
 from .forward import Problem
 from .implicit import Given, settled
 from .model import SkyModel
@@ -28,11 +28,16 @@ from .residuals import (
     values_at,
     Weighing,
 )
-from .uncertainty import described, End, Estimate, weighing_at
+from .uncertainty import components_at, described, End, Estimate, weighing_at
 
 
-# tolerances of the last search and of those before it, as shares of the sigma by independent noise
-_NEAR, _FIRST_NEAR = 0.02, 0.5
+# tolerances of the last search and of those before it, as shares of the sigma by independent noise. That of the latter
+# is more where samples are many: the squares of their residuals grow by less than a half per cent
+_NEAR, _FIRST_NEAR, _SHARE = 0.02, 0.5, 0.06
+# largest tolerance of the last search, however large the errors are that samples share
+_MOST_NEAR = 0.3
+# where the whole step to the minimum is shorter than this share of the sigma, slopes are not renewed
+_CLOSE = 0.5
 # first damping of these searches: the last one begins where the slopes are known and the end is near
 _DAMPED, _FIRST_DAMPED = 1e-3, 0.1
 
@@ -57,14 +62,15 @@ def retrieve(
     """Fit the parameters of some times of a sky and their covariance: pure, for `jit`, `vmap` and `grad`.
 
     **Arguments:** `problem`, the samples; `model`, whose other values are not fitted; `free`, names among `PARAMETERS`;
-    `solver` of the radiance, `slopes` of its derivatives in the search and in sigma (default: the same one, so that a
-    single copy of it is compiled; a coarser one runs faster);
-    `shared`, the free names that all times have in common; `priors` in the order (each time's own, shared); `start`,
-    unconstrained numbers in that order, `own` `[start, time, parameter]` and `shared` `[start, shared]` (default: the
-    model's values). The search runs from each start, and once more from the best end with the noise that its residuals
-    show. `loss` beyond `threshold` standard deviations; `model_error`, relative; `max_steps` of each search; `expected`
-    sizes of the shared errors (default: there are none), which widen the covariance; `level`, the relative size of an
-    error that a whole time shares. Numbers may be traced, names and solvers are static.
+    `solver` of the radiance, `slopes` of its derivatives in the first search (default: the same one, so that a single
+    copy of it is compiled; by a coarser one the search is two to three times as fast). Sigma is by the slopes of
+    `solver` in any case; `shared`, the free names that all times have in common; `priors` in the order (each time's
+    own, shared); `start`, unconstrained numbers in that order, `own` `[start, time, parameter]` and `shared` `[start,
+    shared]` (default: the model's values). The search runs from each start, and once more from the best end with the
+    noise that its residuals show. Half a sigma from the end slopes are not renewed any more. `loss` beyond `threshold`
+    standard deviations; `model_error`, relative; `max_steps` of each search; `expected` sizes of the shared errors
+    (default: there are none), which widen the covariance; `level`, the relative size of an error that a whole time
+    shares. Numbers may be traced, names and solvers are static.
     **Returns:** an `Estimate`, parameters in the order of `free`. No error is raised: see `result` and `finite`.
     **Valid:** the cost of the search is linear in the number of times, that of the covariance quadratic. `values` and
     `calibration` have derivatives by all numerical inputs (`implicit.settled`), exact at the least cost with the
@@ -155,18 +161,20 @@ def search(
         begin, last = item
         begin = jax.tree.map(lambda a, b: jnp.where(last, a, b), best.point, begin)
         weighing = jax.lax.cond(last, left, lambda _: stated, best)
-        arguments = fixed, problem, priors, weighing, numbers.threshold
+        arguments = fixed, problem, priors, weighing, numbers.threshold, last
         # tolerance as a share of the sigma that a search assumes; the last search continues from the best end
-        near = jnp.where(last, _NEAR * weighing.of_all(), _FIRST_NEAR)
+        near = jnp.where(last, jnp.minimum(_NEAR * weighing.of_all(), _MOST_NEAR), first_near)
         damping = jnp.where(last, _DAMPED, _FIRST_DAMPED)
         # where all searches failed, nothing is known
         taken = Begin(best.known, last & jnp.isfinite(best.cost))
+        close = _CLOSE * weighing.of_all()
         point, known, steps, result = minimise(
-            rows, begin, arguments, taken, limit, none, numbers.max_steps, near, damping
+            rows, begin, arguments, taken, limit, none, numbers.max_steps, near, damping, close
         )
         total = total_of(point, known, weighing)
         total = jnp.where(jnp.isfinite(total), total, jnp.inf)
-        end = End(point, known, weighing, total, best.steps + steps, result)
+        sizes = components_at(choices, numbers, problem, priors, point, known)
+        end = End(point, known, weighing, sizes, total, best.steps + steps, result)
         better = last | (total < best.cost)
         chosen = jax.tree.map(lambda a, b: jnp.where(better, a, b), end, best)
         return chosen._replace(steps=end.steps), None
@@ -182,8 +190,10 @@ def search(
         jnp.zeros((times, samples, len(choices.names)), dtype),
         jnp.zeros((*problem.measured.shape, len(POINTING)), dtype),
     )
+    first_near = jnp.maximum(_FIRST_NEAR, _SHARE * jnp.sqrt(jnp.sum(problem.weight > 0.0)))
     stated = Weighing(jnp.ones(times, dtype), jnp.ones(times, dtype))
-    best = End(first, nothing, stated, jnp.array(jnp.inf, dtype), jnp.array(0), optx.RESULTS.successful)
+    sizes = Components(jnp.ones(times, dtype), jnp.zeros((times, len(KINDS)), dtype))
+    best = End(first, nothing, stated, sizes, jnp.array(jnp.inf, dtype), jnp.array(0), optx.RESULTS.successful)
     items = jax.tree.map(lambda v: jnp.concatenate([v, v[:1]]), begins)
     last = jnp.arange(starts.own.shape[0] + 1) == starts.own.shape[0]
     return jax.lax.scan(one, best, (items, last))[0]

@@ -77,24 +77,30 @@ class Estimate(NamedTuple):
 
 
 class End(NamedTuple):
-    """The end of a search: the point, the solver's output there, and the weighting of the samples."""
+    """The end of a search: the point, the solver's output there, the weighting of the samples, sizes of their errors.
+
+    The sizes are those that the residuals of this end show (`components_at`).
+    """
 
     point: Point
     known: Known
     weighing: Weighing
+    sizes: Components
     cost: Float[Array, ""]
     steps: Int[Array, ""]
     result: Any
 
 
-def components_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Priors, end: End) -> Components:
-    """Estimate the sizes of each time's errors from the residuals of an end; no derivative goes through them.
+def components_at(
+    choices: Choices, numbers: Numbers, problem: Problem, priors: Priors, point: Point, known: Known
+) -> Components:
+    """Estimate the sizes of each time's errors from the residuals of a point; no derivative goes through them.
 
     A single time cannot move parameters that times share or that link them. Where times contradict each other, that
     counts as an error of the samples.
     """
     alone = problem.measured.shape[0] == 1
-    calibration = calibration_of(choices, end.point, problem.measured.shape[2])
+    calibration = calibration_of(choices, point, problem.measured.shape[2])
     # the slopes are by the parameters on their scales
     prior = priors.rows()
     if choices.calibrated:
@@ -110,7 +116,7 @@ def components_at(choices: Choices, numbers: Numbers, problem: Problem, priors: 
         given = prior[:, :mine], numbers.expected, choices.loss, numbers.threshold
         return estimate(errors, residual, sky, *given, alone)
 
-    return jax.lax.map(at, jax.lax.stop_gradient((problem, end.known)))
+    return jax.lax.map(at, jax.lax.stop_gradient((problem, known)))
 
 
 def weighing_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Priors, end: End) -> Weighing:
@@ -120,7 +126,6 @@ def weighing_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Pr
     of its right-hand side by noise of all kinds, as if p independent numbers determined the parameters.
     **Source:** Ribatet, Cooley & Davison 2012, Stat. Sinica 22, 813 (magnitude adjustment of a composite likelihood).
     """
-    sizes = components_at(choices, numbers, problem, priors, end)
     calibration = calibration_of(choices, end.point, problem.measured.shape[2])
     count = len(choices.names)
 
@@ -138,7 +143,7 @@ def weighing_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Pr
         moves = _sides(whole[: rows.shape[1]], effects)[-count:]
         return Weighing(scale, jnp.sqrt(jnp.maximum(jnp.mean(jnp.sum(moves**2, axis=1)), 1.0)))
 
-    return jax.lax.stop_gradient(jax.lax.map(at, (problem, end.known, sizes)))
+    return jax.lax.stop_gradient(jax.lax.map(at, (problem, end.known, end.sizes)))
 
 
 def _noise_of(choices: Choices, threshold, one: Problem, known: Known, calibration, sizes, weighing: Weighing, columns):
@@ -274,7 +279,7 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     times, directions, channels = problem.measured.shape
     values = values_at(choices, end)
     calibration = calibration_of(choices, end, channels)
-    sizes = components_at(choices, numbers, problem, priors, found)
+    sizes = found.sizes
     white = whitening_at(problem, known, sizes)
     shares = jax.lax.map(
         lambda item: share_of(errors_of(item[0], item[1].radiance, item[1].turn), item[2]), (problem, known, sizes)

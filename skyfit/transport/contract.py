@@ -166,7 +166,10 @@ class AbstractSolver(Ranged):
 
     @abstractmethod
     def coarser(self) -> "AbstractSolver":
-        """The solver for the Jacobian of a retrieval, some per cent off; this solver itself where it is cheap."""
+        """The solver for the slopes by which a retrieval searches, some per cent off, scalar or not.
+
+        It is this solver itself where that is cheap.
+        """
 
     @abstractmethod
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:

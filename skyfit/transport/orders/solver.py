@@ -1,5 +1,7 @@
 """Multiple scattering by successive orders with discrete ordinates."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -153,7 +155,10 @@ class OrdersOfScattering(AbstractSolver):
         )
 
     def coarser(self) -> "OrdersOfScattering":
-        return OrdersOfScattering.draft(self.geometry, self.polarised)
+        # In haze of optical depth 0.05 to 3 a search by these slopes takes as many steps as by those of `normal`.
+        if self.streams <= _COARSE.streams:
+            return self
+        return replace(_COARSE, geometry=self.geometry)
 
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
         """Radiance by all orders of scattering, W m^-2 sr^-1 nm^-1.
@@ -210,6 +215,10 @@ class OrdersOfScattering(AbstractSolver):
 
     def _resolution(self) -> Resolution:
         return Resolution(self.streams, self.modes, self.levels, self.orders, self.geometry, polarised=self.polarised)
+
+
+# Some per cent off, in a seventh of the time of the polarised `normal`.
+_COARSE = OrdersOfScattering(streams=6, modes=8, levels=12, orders=3, nodes=16)
 
 
 @eqx.filter_jit
