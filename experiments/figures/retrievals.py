@@ -44,8 +44,8 @@ def inverted(measured: dict, recovery: dict, speed: dict, many: dict) -> str:
         "`least_squares` over the same jitted residual and "
         f"{scan['scipy_over_sasktran2_over_ours']:.0f} times as fast as it would be over sasktran2. "
         f"{100 * starts['share']:.1f} % of {starts['starts']} random",
-        f"starts reach the best chi-square. {many['skies']} skies of 30 directions and 8 wavelengths by `fit_many` and the "
-        f"scalar solver: {many['skies per second']:.1f} a second, polarised "
+        f"starts reach the best chi-square. {many['skies']} skies of 30 directions and 8 wavelengths by `fit_many` and "
+        f"the scalar solver: {many['skies per second']:.1f} a second, polarised "
         f"{many['polarised']['skies per second']:.1f}.",
     ]
     return "\n".join(lines)
