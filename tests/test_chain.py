@@ -263,6 +263,9 @@ def test_the_work_grows_linearly_with_the_number_of_times():
 # the search
 
 
+NO = np.zeros((), bool)
+
+
 @partial(jax.jit, static_argnums=2)
 def boxed(blocks: Blocks, limit, max_steps=100):
     """Rows that are linear everywhere, in units of a small sigma: the search goes on to the very minimum."""
@@ -275,7 +278,7 @@ def boxed(blocks: Blocks, limit, max_steps=100):
         return jax.tree.map(lambda v: 1e3 * v, Rows(data, shared, step)), None
 
     limits = jax.tree.map(lambda v: jnp.full_like(v, limit), origin(blocks))
-    begin = Begin(None, jnp.asarray(False))
+    begin = Begin(None, NO, NO)
     point, _, steps, result = minimise(rows, origin(blocks), blocks, begin, limits, 0, max_steps)
     return point, steps, result == optx.RESULTS.successful
 
@@ -314,7 +317,7 @@ def test_a_nonlinear_joint_problem_has_the_minimum_that_scipy_finds(x64, times):
     arguments = jnp.asarray(place), jnp.asarray(measured)
     start = Point(jnp.ones((times, 2)), jnp.zeros(1))
 
-    begin = Begin({"curve": jnp.zeros((1, 12))}, jnp.asarray(False))
+    begin = Begin({"curve": jnp.zeros((1, 12))}, NO, NO)
 
     def residual(x):
         point = Point(jnp.asarray(x[:-1].reshape(times, 2)), jnp.asarray(x[-1:]))
@@ -331,7 +334,7 @@ def test_a_nonlinear_joint_problem_has_the_minimum_that_scipy_finds(x64, times):
     np.testing.assert_array_equal(known["curve"], decays(found, (arguments, begin))[1]["curve"])
     # a search that begins with what is known there ends at once; with a wrong curve it does so elsewhere
     for curve, same in ((known["curve"], True), (known["curve"] + 0.1, False)):
-        taken = Begin({"curve": curve}, jnp.asarray(True))
+        taken = Begin({"curve": curve}, ~NO, NO)
         again, _, steps, _ = eqx.filter_jit(minimise)(decays, found, arguments, taken, free, 0, 1)
         assert steps == 1 and np.all(flat(again) == flat(found))
         moved, _, _, _ = eqx.filter_jit(minimise)(decays, found, arguments, taken, free, 0, 2)
@@ -348,7 +351,7 @@ def decays_by_slopes(point: Point, given):
     curve, slope = jax.jvp(lambda rate: jnp.exp(-jnp.exp(rate) * place)[None], (here,), (jnp.ones_like(here),))
     slope = jnp.where(begin.close, begin.known["slope"], slope)
     moved = curve + slope * (point.shared[0] - here)
-    rows, _ = decays(point, (given[0], Begin({"curve": moved}, jnp.asarray(True))))
+    rows, _ = decays(point, (given[0], Begin({"curve": moved}, ~NO, NO)))
     return rows, {"slope": slope, "renewed": begin.known["renewed"] + jnp.where(begin.close, 0, 1)}
 
 
@@ -357,14 +360,14 @@ def test_near_the_end_slopes_are_not_renewed(x64):
     place = np.linspace(0.0, 2.0, 12)
     measured = 1.3 * np.exp(-1.7 * place) + 0.6 + 0.05 * random.normal(size=(1, 12))
     arguments, start = (jnp.asarray(place), jnp.asarray(measured)), Point(jnp.ones((1, 2)), jnp.zeros(1))
-    begin = Begin({"slope": jnp.zeros((1, 12)), "renewed": jnp.asarray(0)}, jnp.asarray(False))
+    begin = Begin({"slope": jnp.zeros((1, 12)), "renewed": jnp.asarray(0)}, NO, NO)
     free = jax.tree.map(lambda v: jnp.full_like(v, jnp.inf), start)
 
-    def found(near):
-        return eqx.filter_jit(minimise)(decays_by_slopes, start, arguments, begin, free, 0, 50, 1e-3, 0.1, near)
+    def found(close):
+        return eqx.filter_jit(minimise)(decays_by_slopes, start, arguments, begin, free, 0, 50, 1e-3, 0.1, close)
 
     each, known, steps, _ = found(0.0)
-    # a step that is refused renews them too
+    # those of a step that is refused are not counted
     assert steps - 2 <= known["renewed"] <= steps
     kept, some, more, result = found(1.0)
     assert result_name(result) == "successful" and more <= steps + 3

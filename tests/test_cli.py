@@ -311,8 +311,8 @@ def test_the_options_of_invert_reach_the_fit(monkeypatch, tmp_path):
     assert {*values_of(usual["start"], PARTICLE_FREE)} == {*PARTICLE_FREE}
     known = asked(monkeypatch, tmp_path, "--fix", "pointing_zenith=0.5")["free"]
     assert known == tuple(n for n in PARTICLE_FREE if n != "pointing_zenith")
-    # the usual first steps of `invert` itself
-    assert usual["solver"] == skyfit.OrdersOfScattering.normal(polarised=True) and usual["draft"] is None
+    # the usual slopes are those of `invert` itself
+    assert usual["solver"] == skyfit.OrdersOfScattering.normal(polarised=True) and "draft" not in usual
     assert usual["measurement"] == skyfit.NoiseModel() and usual["starts"] == 1
     assert usual["response"] is None and usual["priors"] == usual["smooth"] == {}
     whole = skyfit.read(tmp_path / "two.nc")
@@ -330,7 +330,7 @@ def test_the_options_of_invert_reach_the_fit(monkeypatch, tmp_path):
         monkeypatch, tmp_path, "--preset", "fine", "--field-of-view", "5", "--starts", "4", "--smooth", "asymmetry=0.1",
         "--smooth", "turbidity=0.3", "--free", "turbidity,asymmetry,ozone", "--response", "camera.csv",
     )  # fmt: skip
-    assert (given["solver"], given["draft"]) == (skyfit.OrdersOfScattering.fine(), None)
+    assert given["solver"] == skyfit.OrdersOfScattering.fine() and "draft" not in given
     assert given["measurement"] == skyfit.NoiseModel(field_of_view=np.radians(5.0)) and given["starts"] == 4
     # what is smooth in time is not the same at all times
     assert given["smooth"] == {"asymmetry": 0.1, "turbidity": 0.3} and given["shared"] == ("ozone",)
@@ -338,7 +338,7 @@ def test_the_options_of_invert_reach_the_fit(monkeypatch, tmp_path):
     scalar = asked(monkeypatch, tmp_path, "--scalar", "--free", "particles,ozone")
     assert scalar["solver"] == skyfit.OrdersOfScattering.normal() and scalar["free"] == (*PARTICLE_FREE, "ozone")
     single = asked(monkeypatch, tmp_path, "--solver", "single")
-    assert (single["solver"], single["draft"]) == (skyfit.SingleScattering.normal(), skyfit.SingleScattering.draft())
+    assert single["solver"] == skyfit.SingleScattering.normal()
     assert asked(monkeypatch, tmp_path, "--independent")["shared"] == ()
     assert asked(monkeypatch, tmp_path, "--shared", "asymmetry, ground_albedo")["shared"] == (
         "asymmetry",

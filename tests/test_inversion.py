@@ -92,7 +92,7 @@ def test_sigma_is_that_of_a_jacobian_by_differences(sample_fit):
             columns.append(((moved[0] - moved[1]) / (2.0 * step) / fit.sky.sigma)[fit.used])
     jacobian = np.stack(columns, axis=1)
     expected = np.linalg.inv(jacobian.T @ jacobian) * max(fit.reduced_chi_square[0], 1.0)
-    # the slopes are those of a solver with fewer streams
+    # the slopes are those of half a sigma before the end
     np.testing.assert_allclose(fit.sigma[0], np.sqrt(np.diag(expected)), rtol=0.03)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(fit.covariance[0] / scale, expected / scale, atol=0.05)

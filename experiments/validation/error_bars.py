@@ -25,11 +25,12 @@ import numpy as np
 import skyfit
 from experiments.benchmarks.tiers import HERE, made_with
 from experiments.studies.measured_sky import from_sun, random_half, rms, SETTLED
+from skyfit.numerics.chain import Begin
 from skyfit.retrieve import LOBES_FREE, PARAMETERS, PARTICLE_FREE
 from skyfit.retrieve.components import errors_of
 from skyfit.retrieve.parameters import partition, start_model, with_values
 from skyfit.retrieve.prepared import first_points, prepared
-from skyfit.retrieve.residuals import linearised
+from skyfit.retrieve.residuals import linearised, nothing_known
 from skyfit.retrieve.retrieve import retrieve
 
 
@@ -109,7 +110,9 @@ def by_halves(sky: skyfit.Sky, free: tuple[str, ...], seed: int) -> list[dict]:
 
 @eqx.filter_jit
 def _slopes(solver, names, fixed, scaled, one):
-    known = linearised(names, solver, None, fixed, scaled, one)
+    no = jnp.zeros((), bool)
+    begin = Begin(nothing_known(one, len(names)), no, no)
+    known = linearised(names, solver, None, fixed, scaled, one, begin, no)
     errors = errors_of(one, known.radiance, known.turn)
     return known.radiance, known.jacobian[: known.radiance.size], errors.common, jnp.sum(errors.broad**2, axis=-1)
 

@@ -34,13 +34,13 @@ class Point(NamedTuple):
 class Begin(NamedTuple):
     """Auxiliary results that rows may take over instead of computing them.
 
-    `known`: those of the last accepted point, or of the search before. `holds`: they are those of this very point.
-    `close`: the end is so close that the slopes among them still serve.
+    `known`: those of the last accepted point; at the first point those given, without a meaning unless `holds` is set.
+    `holds`: they are those of this very point. `close`: the end is so close that the slopes among them still serve.
     """
 
     known: Any
     holds: Bool[Array, ""]
-    close: Bool[Array, ""] | bool = False
+    close: Bool[Array, ""]
 
 
 class Rows(NamedTuple):
@@ -335,7 +335,7 @@ class ChainMarquardt(optx.AbstractGaussNewton):
     descent: ChainDescent
     max_steps: Int[Array, ""]
     tolerance: Float[Array, ""]
-    near: Float[Array, ""]
+    close: Float[Array, ""]
     rtol: float = 0.0
     atol: float = 0.0
     norm: Callable = optx.max_norm
@@ -348,7 +348,7 @@ class ChainMarquardt(optx.AbstractGaussNewton):
         """As in optimistix, but the rows may take over auxiliary results: those of the first point, and slopes."""
         arguments, begin = args
         # slopes that led to a step that was refused are renewed
-        close = ~state.first_step & (state.descent_state.change < self.near**2)
+        close = ~state.first_step & (state.descent_state.change < self.close**2)
         close = close & (state.num_steps_since_acceptance == 0)
         known = jax.tree.map(lambda a, b: jnp.where(state.first_step, a, b), begin.known, state.aux)
         begin = Begin(known, begin.holds & state.first_step, close)
@@ -373,21 +373,24 @@ def minimise(
     max_steps: ArrayLike,
     tolerance: ArrayLike = 0.05,
     first_damping: ArrayLike = 0.1,
-    near: ArrayLike = 0.0,
+    close: ArrayLike = 0.0,
 ):
     """Minimise the sum of squares within |unknown| <= `limit` by Levenberg-Marquardt on optimistix' loop.
 
     **Arguments:** `rows(point, (arguments, begin))` gives `Rows`, linear about the point, and auxiliary results;
     `begin`, such results, and whether they hold at the first point; `linear` and `first_damping` as in `ChainDescent`;
-    `max_steps` and `tolerance` (`ChainMarquardt`). Where the whole step changes the residuals by less than `near`, the
-    slopes are not renewed (`Begin.close`). Numbers may be traced.
+    `max_steps` and `tolerance` (`ChainMarquardt`). Where the whole step changes the residuals by less than `close`, the
+    slopes need not be renewed (`Begin.close`), unless the step before was refused. Numbers may be traced.
     **Returns:** the point, the auxiliary results of `rows`, the number of steps and optimistix' result; nothing is
     raised.
     """
-    begin = begin._replace(close=jnp.zeros((), bool))
     descent = ChainDescent(limit, linear, jnp.asarray(first_damping))
-    most, least, close = (jnp.asarray(v) for v in (max_steps, tolerance, near))
-    solver = ChainMarquardt(descent=descent, max_steps=most, tolerance=least, near=close)
+    solver = ChainMarquardt(
+        descent=descent,
+        max_steps=jnp.asarray(max_steps),
+        tolerance=jnp.asarray(tolerance),
+        close=jnp.asarray(close),
+    )
     solution = optx.least_squares(rows, solver, point, (arguments, begin), has_aux=True, max_steps=None, throw=False)
     # The sum of a point and a step to the edge may be beyond the edge by rounding.
     end = jax.tree.map(lambda p, edge: jnp.clip(p, -edge, edge), solution.value, limit)

@@ -156,7 +156,7 @@ def _settings(asked: Prepared, max_steps: int, guess: bool, starts: int) -> dict
         ),
         "free": ", ".join(asked.free),
         "solver": _line(asked.solver),
-        "slopes": _line(asked.slopes or asked.solver),
+        "slopes": _line(asked.slopes),
         "measurement": _line(asked.measurement),
         "priors": json.dumps(asked.priors),
         "response": "" if response is None else _digest(response.wavelength_nm, response.weight),

@@ -60,8 +60,8 @@ def invert(
     - `priors`: name -> (value, sigma) in the parameter's unit; for a parameter fitted as its logarithm, sigma / value
       is the sigma of the logarithm; None leaves out the `climatology` of a parameter. `smooth`: name -> sigma
       of its change within an hour, on the same scale, for names that are not shared
-    - `draft`: solver of the slopes by which the first search goes (default: `solver.coarser()`; with degrees of
-      polarisation `solver` itself). Where it ends, the slopes are those of `solver`, and so is sigma
+    - `draft`: solver of the slopes in all searches but the last (default: `solver.coarser()`; with degrees of
+      polarisation `solver` itself). The last search and sigma have the slopes of `solver`
     - `jackknife`: number of groups of directions, in the order of the sky, that are left out in turn to find
       `Fit.jackknife_sigma`; 0: none
     - `max_steps` of each Levenberg-Marquardt search; `progress(done, of)` is called after each fit, of one time or of

@@ -50,7 +50,7 @@ class Prepared:
     """A checked request for a fit of a sky.
 
     `own` and `shared` are in the order of `PARAMETERS`, so that the same names in another order use the same compiled
-    program. `slopes`: solver of the derivatives. `places` `[time, direction]`: the directions
+    program. `slopes`: solver of the slopes in all searches but the last. `places` `[time, direction]`: the directions
     that `problem` holds. `rows`: the priors on the parameters' scales. `linked`: whether neighbours in time are tied.
     """
 

@@ -210,6 +210,19 @@ def reduced_rows(choices: Choices, rows, right, slope, prior_right):
     )
 
 
+def nothing_known(problem: Problem, count: int) -> Known:
+    """Zeros in the place of the solver's output and its slopes by `count` parameters, of all times or of one."""
+    beside = problem.beside
+    *times, directions, channels = problem.measured.shape
+    rows = directions * channels + (0 if beside is None else beside.shape[-1])
+    return Known(
+        jnp.zeros_like(problem.measured),
+        None if beside is None else jnp.zeros_like(beside),
+        jnp.zeros((*times, rows, count), problem.measured.dtype),
+        jnp.zeros((*problem.measured.shape, len(POINTING)), problem.measured.dtype),
+    )
+
+
 def linearised(
     names: tuple[str, ...],
     solver: AbstractSolver,
@@ -222,11 +235,11 @@ def linearised(
 ) -> Known:
     """The solver's output for one time, and its slopes by the parameters on their scales.
 
-    The slopes are those known where the end is close (`Begin`), else new ones: of `slopes_by` if given and `exact` is
-    not set, or of the solver itself. They are difference quotients over a small share of each range, kept inside it:
-    one-sided in double precision, two-sided over a larger share in single precision. Values and slopes are thus one
-    loop through one copy of the solver, whose length is traced. Compiling forward-mode slopes would take most of the
-    time of a first retrieval.
+    What is known of this point is taken over, and so are slopes where the end is close (`Begin`). New slopes are those
+    of `slopes_by`, or of the solver itself with `exact` or without `slopes_by`. They are difference quotients over a
+    small share of each range, kept inside it: one-sided in double precision, two-sided over a larger share in single
+    precision. A loop of traced length through each solver gives values and slopes, so that one copy of each is
+    compiled. Compiling forward-mode slopes would take most of the time of a first retrieval.
     """
     count = len(names)
     # the slopes by the pointing are needed even if it is not fitted

@@ -14,13 +14,13 @@ from .components import Components, Expected, KINDS
 from .forward import Problem
 from .implicit import Given, settled
 from .model import SkyModel
-from .parameters import PARAMETERS, partition, POINTING
+from .parameters import PARAMETERS, partition
 from .residuals import (
     box,
     calibration_of,
     Choices,
     cost,
-    Known,
+    nothing_known,
     Numbers,
     objective,
     Priors,
@@ -31,14 +31,16 @@ from .residuals import (
 from .uncertainty import components_at, described, End, Estimate, weighing_at
 
 
-# tolerances of the last search and of those before it, as shares of the sigma by independent noise. That of the latter
-# is more where samples are many: the squares of their residuals grow by less than a half per cent
-_NEAR, _FIRST_NEAR, _SHARE = 0.02, 0.5, 0.06
+# tolerances of the last search and of those before it, as shares of the sigma by independent noise
+_NEAR, _FIRST_NEAR = 0.02, 0.5
+# those before it may end further away where samples are many: chi-square is then at most 0.4 % above its least
+_FIRST_SHARE = 0.06
 # largest tolerance of the last search, however large the errors are that samples share
 _MOST_NEAR = 0.3
-# where the whole step to the minimum is shorter than this share of the sigma, slopes are not renewed
+# where the whole step to the minimum is shorter than this share of the sigma, slopes are not renewed: the ends of eight
+# measured scans moved by less than 0.05 of their sigma
 _CLOSE = 0.5
-# first damping of these searches: the last one begins where the slopes are known and the end is near
+# first damping of these searches: the last one begins near the end
 _DAMPED, _FIRST_DAMPED = 1e-3, 0.1
 
 
@@ -62,15 +64,15 @@ def retrieve(
     """Fit the parameters of some times of a sky and their covariance: pure, for `jit`, `vmap` and `grad`.
 
     **Arguments:** `problem`, the samples; `model`, whose other values are not fitted; `free`, names among `PARAMETERS`;
-    `solver` of the radiance, `slopes` of its derivatives in the first search (default: the same one, so that a single
-    copy of it is compiled; by a coarser one the search is two to three times as fast). Sigma is by the slopes of
-    `solver` in any case; `shared`, the free names that all times have in common; `priors` in the order (each time's
-    own, shared); `start`, unconstrained numbers in that order, `own` `[start, time, parameter]` and `shared` `[start,
-    shared]` (default: the model's values). The search runs from each start, and once more from the best end with the
-    noise that its residuals show. Half a sigma from the end slopes are not renewed any more. `loss` beyond `threshold`
-    standard deviations; `model_error`, relative; `max_steps` of each search; `expected` sizes of the shared errors
-    (default: there are none), which widen the covariance; `level`, the relative size of an error that a whole time
-    shares. Numbers may be traced, names and solvers are static.
+    `solver` of the radiance; `slopes`, solver of its derivatives in all searches but the last (default: the same one,
+    so that a single copy of it is compiled; with a coarser one a fit is two to three times as fast); `shared`, the free
+    names that all times have in common; `priors` in the order (each time's own, shared); `start`, unconstrained numbers
+    in that order, `own` `[start, time, parameter]` and `shared` `[start, shared]` (default: the model's values). The
+    search runs from each start, and once more from the best end with the noise that its residuals show. The last search
+    and sigma have the slopes of `solver`, which are not renewed within half a sigma of the end. `loss` beyond
+    `threshold` standard deviations; `model_error`, relative; `max_steps` of each search; `expected` sizes of the shared
+    errors (default: there are none), which widen the covariance; `level`, the relative size of an error that a whole
+    time shares. Numbers may be traced, names and solvers are static.
     **Returns:** an `Estimate`, parameters in the order of `free`. No error is raised: see `result` and `finite`.
     **Valid:** the cost of the search is linear in the number of times, that of the covariance quadratic. `values` and
     `calibration` have derivatives by all numerical inputs (`implicit.settled`), exact at the least cost with the
@@ -166,31 +168,28 @@ def search(
         near = jnp.where(last, jnp.minimum(_NEAR * weighing.of_all(), _MOST_NEAR), first_near)
         damping = jnp.where(last, _DAMPED, _FIRST_DAMPED)
         # where all searches failed, nothing is known
-        taken = Begin(best.known, last & jnp.isfinite(best.cost))
+        taken = Begin(best.known, last & jnp.isfinite(best.cost), jnp.zeros((), bool))
         close = _CLOSE * weighing.of_all()
         point, known, steps, result = minimise(
             rows, begin, arguments, taken, limit, none, numbers.max_steps, near, damping, close
         )
         total = total_of(point, known, weighing)
         total = jnp.where(jnp.isfinite(total), total, jnp.inf)
-        sizes = components_at(choices, numbers, problem, priors, point, known)
-        end = End(point, known, weighing, sizes, total, best.steps + steps, result)
         better = last | (total < best.cost)
+        sizes = jax.lax.cond(
+            better, lambda: components_at(choices, numbers, problem, priors, point, known), lambda: best.sizes
+        )
+        end = End(point, known, weighing, sizes, total, best.steps + steps, result)
         chosen = jax.tree.map(lambda a, b: jnp.where(better, a, b), end, best)
         return chosen._replace(steps=end.steps), None
 
     begins = Point(starts.own, jnp.concatenate([starts.shared, jnp.zeros((starts.own.shape[0], none), dtype)], axis=1))
     first = jax.tree.map(lambda v: v[0], begins)
     limit = box(choices, first)
-    times, directions, _ = problem.measured.shape
-    samples = directions * channels + (0 if problem.beside is None else problem.beside.shape[1])
-    nothing = Known(
-        jnp.zeros_like(problem.measured),
-        None if problem.beside is None else jnp.zeros_like(problem.beside),
-        jnp.zeros((times, samples, len(choices.names)), dtype),
-        jnp.zeros((*problem.measured.shape, len(POINTING)), dtype),
-    )
-    first_near = jnp.maximum(_FIRST_NEAR, _SHARE * jnp.sqrt(jnp.sum(problem.weight > 0.0)))
+    times = problem.measured.shape[0]
+    nothing = nothing_known(problem, len(choices.names))
+    fewest = jnp.min(jnp.sum(problem.weight > 0.0, axis=(1, 2)))
+    first_near = jnp.maximum(_FIRST_NEAR, _FIRST_SHARE * jnp.sqrt(fewest))
     stated = Weighing(jnp.ones(times, dtype), jnp.ones(times, dtype))
     sizes = Components(jnp.ones(times, dtype), jnp.zeros((times, len(KINDS)), dtype))
     best = End(first, nothing, stated, sizes, jnp.array(jnp.inf, dtype), jnp.array(0), optx.RESULTS.successful)

@@ -166,7 +166,7 @@ class AbstractSolver(Ranged):
 
     @abstractmethod
     def coarser(self) -> "AbstractSolver":
-        """The solver for the slopes by which a retrieval searches, some per cent off, scalar or not.
+        """The solver for the slopes by which a retrieval searches: some per cent off, and scalar where that saves time.
 
         It is this solver itself where that is cheap.
         """

@@ -155,9 +155,10 @@ class OrdersOfScattering(AbstractSolver):
         )
 
     def coarser(self) -> "OrdersOfScattering":
-        # In haze of optical depth 0.05 to 3 a search by these slopes takes as many steps as by those of `normal`.
+        # A draft is cheap enough not to compile another solver.
         if self.streams <= _COARSE.streams:
             return self
+        # In haze of optical depth 0.05 to 3 a search by these slopes takes as many steps as by those of `normal`.
         return replace(_COARSE, geometry=self.geometry)
 
     def radiance(self, atmosphere: Atmosphere, scene: Scene) -> Float[Array, "direction wavelength"]:
