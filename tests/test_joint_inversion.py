@@ -23,18 +23,22 @@ ANGLES = (0.9, 0.6)
 IRRADIANCE = np.asarray(extraterrestrial_irradiance(PLAIN, 6.0), float)
 
 
-@pytest.fixture(scope="module")
-def sky():
+def two_times(depths):
     """Two times; the stated noise is a little larger than the true one, so that nothing is widened."""
     with jax.enable_x64(True):
         rows = [
             by_hand(aerosol_optical_depth=d, angstrom_exponent=e, sun_zenith=s)
-            for d, e, s in zip(DEPTHS, EXPONENTS, ANGLES, strict=True)
+            for d, e, s in zip(depths, EXPONENTS, ANGLES, strict=True)
         ]
         # a common factor of the days' distance from the sun has no part in this
         no_day = np.array(["2025-10-05T12:00", "2025-10-05T12:30"], "datetime64[ns]")
         made = as_sky(np.stack(rows), 0.015, seed=30, sun_zenith=ANGLES, time=no_day)
         return replace(made, sigma=made.sigma * (0.02 / 0.015))
+
+
+@pytest.fixture(scope="module")
+def sky():
+    return two_times(DEPTHS)
 
 
 @pytest.fixture(scope="module")
@@ -123,13 +127,24 @@ def test_smoothness_is_a_residual_between_neighbours_with_both_limits(x64, sky, 
     loose = fitted(sky, smooth={"aerosol_optical_depth": 1e4})
     np.testing.assert_allclose(loose.values, plain.values, rtol=1e-6)
     np.testing.assert_allclose(loose.sigma, plain.sigma, rtol=1e-6)
+    # where the two depths are one, stiff steps are a shared parameter
+    stiff, shared = stiff_and_shared(two_times((0.2, 0.2)))
+    assert np.all(shared.scale == 1.0) and np.all(stiff.scale == 1.0)
+    assert np.all(np.abs(stiff.values - shared.values) < 0.05 * shared.sigma)
+    np.testing.assert_allclose(stiff.sigma, shared.sigma, rtol=0.01)
+    # where they are two, one depth suits neither time, and their weights are those of where each first search ended
+    stiff, shared = stiff_and_shared(sky)
+    assert shared.scale.max() > 5.0 and shared.result[1] == stiff.result[1] == "poor_fit"
+    np.testing.assert_allclose(stiff.scale, shared.scale, rtol=0.01)
+    assert np.all(np.abs(stiff.values - shared.values) < 0.25 * shared.sigma)
+
+
+def stiff_and_shared(sky):
+    """A fit whose two depths hardly may differ, and one with a single depth."""
     stiff = fitted(sky, smooth={"aerosol_optical_depth": 1e-5})
-    shared = skyfit.invert(
-        sky, FREE, SOLVER, shared=("aerosol_optical_depth", *SHARED), measurement=SQUARES
-    )  # fmt: skip
-    assert shared.scale.max() > 1.0
     assert stiff.values[0, 0] == pytest.approx(stiff.values[1, 0], rel=1e-4)
-    np.testing.assert_allclose(stiff.values, shared.values, rtol=2e-3)
+    both = ("aerosol_optical_depth", *SHARED)
+    return stiff, skyfit.invert(sky, FREE, SOLVER, shared=both, measurement=SQUARES)
 
 
 def test_gain_is_what_a_sample_moves(x64, sky, plain):
