@@ -10,6 +10,7 @@ ch. 5 and 10; multi-pixel retrievals: Dubovik et al. 2011, Atmos. Meas. Tech. 4,
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
@@ -287,12 +288,18 @@ class ChainDescent(optx.AbstractDescent):
         return _ChainState(y, *jax.tree.map(lambda v: v.astype(y.own.dtype), (empty, jnp.array(jnp.inf))))
 
     def query(self, y, f_info, state):
-        blocks = blocks_of(f_info.jac, f_info.residual, y)
-        return _ChainState(y, blocks, squared_change(blocks, self.to_best(y, blocks, 0.0)))
+        return _ChainState(y, blocks_of(f_info.jac, f_info.residual, y), state.change)
 
     def step(self, step_size, state):
-        damping = jnp.sqrt(self.first_damping / step_size)
-        return self.to_best(state.point, state.blocks, damping), optx.RESULTS.successful
+        """No step: `ChainMarquardt` takes it, so that one program finds the damped step and the whole one."""
+        return jax.tree.map(jnp.zeros_like, state.point), optx.RESULTS.successful
+
+    def steps(self, step_size, state) -> tuple[Point, Float[Array, ""]]:
+        """The step of this size, and the squared change of the rows by the whole step to the minimum."""
+        damping = jnp.stack([jnp.zeros_like(step_size), jnp.sqrt(self.first_damping / step_size)])
+        both = jax.lax.map(lambda size: self.to_best(state.point, state.blocks, size), damping)
+        whole, step = jax.tree.map(lambda v: v[0], both), jax.tree.map(lambda v: v[1], both)
+        return step, squared_change(state.blocks, whole)
 
     def to_best(self, point: Point, blocks: Blocks, damping) -> Point:
         """The step to the minimum of the linear problem in the box, damped by this share of each column's length.
@@ -352,7 +359,11 @@ class ChainMarquardt(optx.AbstractGaussNewton):
         close = close & (state.num_steps_since_acceptance == 0)
         known = jax.tree.map(lambda a, b: jnp.where(state.first_step, a, b), begin.known, state.aux)
         begin = Begin(known, begin.holds & state.first_step, close)
-        return super().step(fn, y, (arguments, begin), options, state, tags)
+        y, state, aux = super().step(fn, y, (arguments, begin), options, state, tags)
+        step, change = self.descent.steps(state.search_state.step_size, state.descent_state)
+        ahead = jax.tree.map(jnp.add, y, step)
+        state = eqx.tree_at(lambda s: (s.y_eval, s.descent_state.change), state, (ahead, change))
+        return y, state, aux
 
     def terminate(self, fn, y, args, options, state, tags):
         done = (state.num_accepted_steps > 0) & (state.descent_state.change < self.tolerance**2)

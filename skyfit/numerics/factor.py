@@ -17,21 +17,23 @@ def triangle(rows: Float[Array, "row column"]) -> Float[Array, "rank column"]:
     **Source:** Golub & Van Loan, Matrix Computations, sec. 5.1 and 5.2.
     """
     place, rank = jnp.arange(rows.shape[0]), min(rows.shape)
+    # With columns of size 1 no square overflows, and a rest whose square vanishes is no more than rounding.
+    size = jax.lax.stop_gradient(jnp.max(jnp.abs(rows), axis=0))
+    size = jnp.where(size > 0.0, size, 1.0)
+    least = jnp.finfo(rows.dtype).tiny / jnp.finfo(rows.dtype).eps
 
     def reflect(k, columns):
         column = jnp.where(place >= k, columns[k], 0.0)
-        largest = jnp.max(jnp.abs(column))
-        column = column / jnp.where(largest > 0.0, largest, 1.0)
-        length, head = jnp.sqrt(jnp.sum(column**2)), column[k]
+        product = jnp.matmul(columns, column, precision="highest")
+        some, head = product[k] > least, columns[k, k]
+        length = jnp.sqrt(jnp.where(some, product[k], 1.0))
         end = jnp.where(head < 0.0, length, -length)
-        mirror = jnp.where(place == k, head - end, column)
-        square = end * (end - head)
-        share = columns @ mirror / jnp.where(square > 0.0, square, 1.0)
-        return columns - share[:, None] * mirror[None]
+        share = jnp.where(some, (product - end * columns[:, k]) / (end * (end - head)), 0.0)
+        return columns - share[:, None] * jnp.where(place == k, head - end, column)[None]
 
     # The last row has nothing below it. With columns as rows, memory is read in its order.
-    columns = jax.lax.fori_loop(0, min(rank, rows.shape[0] - 1), reflect, rows.T)
-    return jnp.triu(columns[:, :rank].T)
+    columns = jax.lax.fori_loop(0, min(rank, rows.shape[0] - 1), reflect, (rows / size[None]).T)
+    return jnp.triu(columns[:, :rank].T) * size[None]
 
 
 @jax.custom_batching.sequential_vmap
@@ -59,13 +61,18 @@ def solve_upper(
 ) -> Float[Array, "parameter ..."]:
     """The solution of an upper triangular system, from its last row up."""
     count = matrix.shape[0]
+    # One axis for the unknowns, then those of `right`
+    place = jnp.arange(count).reshape(-1, *(1,) * (right.ndim - 1))
 
-    def substitute(k, solution):
+    def substitute(k, left):
+        """Take the next unknown's part off the rows above it; its own row then holds its value."""
         row = count - 1 - k
-        return solution.at[row].set((right[row] - matrix[row] @ solution) / matrix[row, row])
+        value = left[row] / matrix[row, row]
+        above = jnp.where(place < row, matrix[:, row].reshape(place.shape), 0.0)
+        return jnp.where(place == row, value[None], left - above * value[None])
 
     # Without unknowns the body, which is traced all the same, has no row.
-    return jax.lax.fori_loop(0, count, substitute, jnp.zeros_like(right)) if count else right
+    return jax.lax.fori_loop(0, count, substitute, right) if count else right
 
 
 @jax.custom_batching.sequential_vmap
@@ -79,9 +86,12 @@ def tridiagonal_inverse(
 def inverse(matrix: Float[Array, "... row column"]) -> Float[Array, "... row column"]:
     """The inverse of positive definite matrices of a few rows by Gauss-Jordan elimination, without LAPACK."""
     size = matrix.shape[-1]
-    whole = jnp.concatenate([matrix, jnp.broadcast_to(jnp.eye(size, dtype=matrix.dtype), matrix.shape)], axis=-1)
-    for k in range(size):
+    place = jnp.arange(size).reshape(*(1,) * (matrix.ndim - 2), size)
+
+    def eliminate(k, whole):
         pivot = whole[..., k, :] / whole[..., k, k, None]
-        factor = whole[..., :, k].at[..., k].add(-1.0)
-        whole = whole - factor[..., None] * pivot[..., None, :]
-    return whole[..., size:]
+        factor = whole[..., :, k] - (place == k)
+        return whole - factor[..., None] * pivot[..., None, :]
+
+    whole = jnp.concatenate([matrix, jnp.broadcast_to(jnp.eye(size, dtype=matrix.dtype), matrix.shape)], axis=-1)
+    return jax.lax.fori_loop(0, size, eliminate, whole)[..., size:]

@@ -1,8 +1,10 @@
 """Fit the parameters of the atmosphere to a measured sky."""
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import equinox as eqx
+import jax
 import numpy as np
 
 from .. import programs
@@ -85,13 +87,22 @@ def invert(
     times = len(asked.sky.time)
     groups = [np.arange(times)] if asked.shared or asked.linked else [np.array([t]) for t in range(times)]
     parts, spreads = [], []
-    for number, group in enumerate(groups):
-        parts.append(solve(asked, group, first_points(asked, group, guess, starts)))
-        if jackknife:
-            spreads.append(_jackknifed(asked, group, parts[-1], jackknife))
-        if progress is not None:
-            progress(number + 1, len(groups))
+    with ThreadPoolExecutor(1) as beside:
+        read = beside.submit(_read_ahead, asked, jax.config.jax_enable_x64)  # pyright: ignore
+        for number, group in enumerate(groups):
+            parts.append(solve(asked, group, first_points(asked, group, guess, starts)))
+            if jackknife:
+                spreads.append(_jackknifed(asked, group, parts[-1], jackknife))
+            if progress is not None:
+                progress(number + 1, len(groups))
+        wait([read])
     return fit_of(asked, groups, parts, spreads)
+
+
+def _read_ahead(asked: Prepared, double: bool) -> None:
+    """Read the start model once, so that the program of the fitted sky's reading compiles while the search does."""
+    with jax.enable_x64(double):
+        asked.sampling.readings(asked.solver, asked.start, 0)
 
 
 def solve(asked: Prepared, times: np.ndarray, starts: Point, kept: np.ndarray | None = None) -> Estimate:

@@ -139,8 +139,7 @@ def weighing_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Pr
         # the channels' scales come first, so that the last rows are of the parameters alone
         columns = jnp.concatenate([columns[:, count:], columns[:, :count]], axis=1)
         _, rows, effects = _noise_of(choices, numbers.threshold, one, known, calibration, sizes, weighing, columns)
-        whole = triangle(jnp.concatenate([rows, jnp.zeros((rows.shape[1], rows.shape[1]), rows.dtype)]))
-        moves = _sides(whole[: rows.shape[1]], effects)[-count:]
+        moves = _sides(rows, effects)[-count:]
         return Weighing(scale, jnp.sqrt(jnp.maximum(jnp.mean(jnp.sum(moves**2, axis=1)), 1.0)))
 
     return jax.lax.stop_gradient(jax.lax.map(at, (problem, end.known, end.sizes)))
@@ -169,15 +168,18 @@ def _noise_of(choices: Choices, threshold, one: Problem, known: Known, calibrati
     return trust, rows, jnp.concatenate(effects)
 
 
-def _sides(whole, effects):
-    r"""Right-hand sides $y$ of rows $T$ such that $T^T y$ has the same covariance as all effects together.
+def _sides(rows, effects):
+    r"""Right-hand sides $y$ of the triangle $T$ of some rows: $T^T y$ has the covariance of all effects together.
 
-    **Arguments:** `whole`, rows $T$ as a triangle; `effects` `[effect, column]`. **Returns:** as many as columns.
+    **Arguments:** `rows` `[row, column]`; `effects` `[effect, column]`. **Returns:** `[column, side]`, as many sides.
     """
-    guard = jnp.sqrt(jnp.sum(whole**2, axis=0))
-    guard = jnp.diag(jnp.where(guard > 0.0, _GUARD * guard, 1.0))
-    upper = triangle(jnp.concatenate([whole, guard]))[: whole.shape[1]]
-    sides = triangle(jnp.concatenate([effects, jnp.zeros_like(guard)]))[: whole.shape[1]]
+    count = rows.shape[1]
+    guard = jnp.sqrt(jnp.sum(rows**2, axis=0))
+    rows = jnp.concatenate([rows, jnp.diag(jnp.where(guard > 0.0, _GUARD * guard, 1.0))])
+    # one program for both
+    most = max(len(rows), len(effects))
+    both = jnp.stack([jnp.pad(part, ((0, most - len(part)), (0, 0))) for part in (rows, effects)])
+    upper, sides = jax.lax.map(lambda part: triangle(part)[:count], both)
     # solve the transpose, a lower triangle, with rows and columns reversed
     return solve_upper(upper.T[::-1, ::-1], sides.T[::-1])[::-1]
 
