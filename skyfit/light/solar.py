@@ -3,6 +3,7 @@
 import math
 from typing import Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
@@ -100,6 +101,11 @@ def earth_sun_factor(day_of_year: Real[ArrayLike, "*time"]) -> Float[Array, "*ti
     **Source:** Spencer 1971, as in Iqbal 1983 eq. 1.2.1.
     """
     check_range("day_of_year", day_of_year, 1.0, 366.0)
+    return _spencer(day_of_year)
+
+
+@jax.jit
+def _spencer(day_of_year):
     day = 2.0 * jnp.pi * (jnp.asarray(day_of_year) - 1) / 365.0
     return (
         1.000110

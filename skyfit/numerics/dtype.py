@@ -1,8 +1,14 @@
 """The float type of a process, which is the same for all arrays and set by the application."""
 
 import jax.numpy as jnp
+import numpy as np
 
 
 def as_float(value):
     """An array of the process's default float type."""
-    return jnp.asarray(value, jnp.result_type(float))
+    dtype = jnp.result_type(float)
+    if isinstance(value, np.ndarray):
+        # converted here, where JAX would compile a program for each shape
+        with np.errstate(over="ignore"):
+            value = value.astype(dtype, copy=False)
+    return jnp.asarray(value, dtype)

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ..atmosphere import AbstractConstituent, Rayleigh
@@ -45,8 +46,10 @@ class Problem(eqx.Module):
     direct_is_depth: bool = eqx.field(static=True, default=False)
 
     def at(self, times) -> "Problem":
-        """The problem of some times only."""
-        return jax.tree.map(lambda v: v[times], self)
+        """The problem of some times only, in NumPy's arrays where nothing is traced: no program is compiled."""
+        if any(isinstance(v, Tracer) for v in jax.tree.leaves((self, times))):
+            return jax.tree.map(lambda v: v[times], self)
+        return jax.tree.map(lambda v: np.asarray(v)[times], self)
 
     def mean_sun(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Zenith angle and azimuth of the sun for a problem of one time, the mean over channels if these differ."""

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 
 from ..measured import Sky
@@ -29,7 +30,7 @@ def fit_of(
     """Join the estimates of all groups of times to one `Fit`; `spreads`: jackknife sigma of each group, or none."""
     sky = asked.sky
     rows: list[dict] = [{} for _ in sky.time]
-    for number, (group, part) in enumerate(zip(groups, parts, strict=True)):
+    for number, (group, part) in enumerate(zip(groups, jax.device_get(list(parts)), strict=True)):
         for index, t in enumerate(group):
             rows[t] = _row(asked, int(t), index, part, spreads[number] if spreads else None)
     stack: dict[str, Any] = {key: np.stack([row[key] for row in rows]) for key in rows[0] if key not in _WORDS}
