@@ -279,8 +279,8 @@ def boxed(blocks: Blocks, limit, max_steps=100):
 
     limits = jax.tree.map(lambda v: jnp.full_like(v, limit), origin(blocks))
     begin = Begin(None, NO, NO)
-    point, _, steps, result = minimise(rows, origin(blocks), blocks, begin, limits, 0, max_steps)
-    return point, steps, result == optx.RESULTS.successful
+    point, _, cost, steps, result = minimise(rows, origin(blocks), blocks, begin, limits, 0, max_steps)
+    return point, 1e-6 * cost, steps, result == optx.RESULTS.successful
 
 
 @pytest.mark.parametrize("limit", [0.05, 0.2, 0.5])
@@ -289,9 +289,10 @@ def test_in_a_box_it_is_the_bounded_minimum(x64, limit, seed):
     blocks = chain(5, 3, 4, True, seed=seed)
     matrix, right = dense(blocks)
     expected = scipy.optimize.lsq_linear(matrix, -right[:, 0], (-limit, limit), tol=1e-14)
-    point, _, successful = boxed(blocks, limit)
+    point, said, _, successful = boxed(blocks, limit)
     found = flat(point)
     cost = 0.5 * np.sum((matrix @ found + right[:, 0]) ** 2)
+    assert said == pytest.approx(cost, rel=1e-12)
     assert successful and np.all(np.abs(found) <= limit)
     assert cost == pytest.approx(expected.cost, rel=1e-7)
     np.testing.assert_allclose(found, expected.x, atol=1e-4)
@@ -325,7 +326,7 @@ def test_a_nonlinear_joint_problem_has_the_minimum_that_scipy_finds(x64, times):
 
     expected = scipy.optimize.least_squares(residual, flat(start), xtol=1e-12, ftol=1e-12, gtol=1e-12)
     free = jax.tree.map(lambda v: jnp.full_like(v, jnp.inf), start)
-    found, known, steps, result = eqx.filter_jit(minimise)(decays, start, arguments, begin, free, 0, 50)
+    found, known, _, steps, result = eqx.filter_jit(minimise)(decays, start, arguments, begin, free, 0, 50)
     assert result_name(result) == "successful" and steps < 20
     # within the tolerance of the search, a fiftieth of a standard deviation
     sigma = np.sqrt(np.diag(np.linalg.inv(expected.jac.T @ expected.jac)))
@@ -335,12 +336,12 @@ def test_a_nonlinear_joint_problem_has_the_minimum_that_scipy_finds(x64, times):
     # a search that begins with what is known there ends at once; with a wrong curve it does so elsewhere
     for curve, same in ((known["curve"], True), (known["curve"] + 0.1, False)):
         taken = Begin({"curve": curve}, ~NO, NO)
-        again, _, steps, _ = eqx.filter_jit(minimise)(decays, found, arguments, taken, free, 0, 1)
+        again, _, _, steps, _ = eqx.filter_jit(minimise)(decays, found, arguments, taken, free, 0, 1)
         assert steps == 1 and np.all(flat(again) == flat(found))
-        moved, _, _, _ = eqx.filter_jit(minimise)(decays, found, arguments, taken, free, 0, 2)
+        moved, *_ = eqx.filter_jit(minimise)(decays, found, arguments, taken, free, 0, 2)
         assert np.allclose(flat(moved), flat(found), atol=0.1 * sigma.min()) == same
         # what is taken over counts for the first step alone
-        end, _, _, _ = eqx.filter_jit(minimise)(decays, found, arguments, taken, free, 0, 50)
+        end, *_ = eqx.filter_jit(minimise)(decays, found, arguments, taken, free, 0, 50)
         assert np.all(np.abs(flat(end) - expected.x) < 0.02 * sigma)
 
 
@@ -366,17 +367,17 @@ def test_near_the_end_slopes_are_not_renewed(x64):
     def found(close):
         return eqx.filter_jit(minimise)(decays_by_slopes, start, arguments, begin, free, 0, 50, 1e-3, 0.1, close)
 
-    each, known, steps, _ = found(0.0)
+    each, known, _, steps, _ = found(0.0)
     # those of a step that is refused are not counted
     assert steps - 2 <= known["renewed"] <= steps
-    kept, some, more, result = found(1.0)
+    kept, some, _, more, result = found(1.0)
     assert result_name(result) == "successful" and more <= steps + 3
     assert some["renewed"] <= known["renewed"] - 2
     np.testing.assert_allclose(flat(kept), flat(each), atol=1e-3)
 
 
 def test_the_number_of_steps_is_limited(x64):
-    _, steps, successful = boxed(chain(5, 3, 4, True), 10.0, 1)
+    _, _, steps, successful = boxed(chain(5, 3, 4, True), 10.0, 1)
     assert steps == 1 and not successful
 
 

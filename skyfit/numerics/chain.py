@@ -392,8 +392,8 @@ def minimise(
     `begin`, such results, and whether they hold at the first point; `linear` and `first_damping` as in `ChainDescent`;
     `max_steps` and `tolerance` (`ChainMarquardt`). Where the whole step changes the residuals by less than `close`, the
     slopes need not be renewed (`Begin.close`), unless the step before was refused. Numbers may be traced.
-    **Returns:** the point, the auxiliary results of `rows`, the number of steps and optimistix' result; nothing is
-    raised.
+    **Returns:** the point, the auxiliary results of `rows`, half the sum of squares, the number of steps and
+    optimistix' result; nothing is raised.
     """
     descent = ChainDescent(limit, linear, jnp.asarray(first_damping))
     solver = ChainMarquardt(
@@ -405,4 +405,5 @@ def minimise(
     solution = optx.least_squares(rows, solver, point, (arguments, begin), has_aux=True, max_steps=None, throw=False)
     # The sum of a point and a step to the edge may be beyond the edge by rounding.
     end = jax.tree.map(lambda p, edge: jnp.clip(p, -edge, edge), solution.value, limit)
-    return end, solution.state.aux, solution.stats["num_steps"], solution.result
+    cost = 0.5 * sum(jnp.sum(part**2) for part in solution.state.f_info.residual)
+    return end, solution.state.aux, cost, solution.stats["num_steps"], solution.result

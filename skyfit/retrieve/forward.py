@@ -46,10 +46,10 @@ class Problem(eqx.Module):
     direct_is_depth: bool = eqx.field(static=True, default=False)
 
     def at(self, times) -> "Problem":
-        """The problem of some times only, in NumPy's arrays where nothing is traced: no program is compiled."""
+        """The problem of some times only; where nothing is traced NumPy takes them, which compiles no program."""
         if any(isinstance(v, Tracer) for v in jax.tree.leaves((self, times))):
             return jax.tree.map(lambda v: v[times], self)
-        return jax.tree.map(lambda v: np.asarray(v)[times], self)
+        return jax.tree.map(lambda v: jnp.asarray(np.asarray(v)[times]), self)
 
     def mean_sun(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Zenith angle and azimuth of the sun for a problem of one time, the mean over channels if these differ."""

@@ -19,12 +19,10 @@ from .residuals import (
     box,
     calibration_of,
     Choices,
-    cost,
     nothing_known,
     Numbers,
     objective,
     Priors,
-    trusted,
     values_at,
     Weighing,
 )
@@ -151,14 +149,6 @@ def search(
     def left(end: End):
         return weighing_at(choices, numbers, problem, priors, end)
 
-    def total_of(point, known, weighing):
-        calibration = calibration_of(choices, point, channels)
-        after = jax.lax.map(
-            lambda item: trusted(choices, numbers.threshold, item[0], item[1], calibration, item[2]).value,
-            (problem, known, weighing),
-        )
-        return cost(choices, priors, point, after, weighing)
-
     def one(best: End, item):
         begin, last = item
         begin = jax.tree.map(lambda a, b: jnp.where(last, a, b), best.point, begin)
@@ -170,10 +160,9 @@ def search(
         # where all searches failed, nothing is known
         taken = Begin(best.known, last & jnp.isfinite(best.cost), jnp.zeros((), bool))
         close = _CLOSE * weighing.of_all()
-        point, known, steps, result = minimise(
+        point, known, total, steps, result = minimise(
             rows, begin, arguments, taken, limit, none, numbers.max_steps, near, damping, close
         )
-        total = total_of(point, known, weighing)
         total = jnp.where(jnp.isfinite(total), total, jnp.inf)
         better = last | (total < best.cost)
         sizes = jax.lax.cond(

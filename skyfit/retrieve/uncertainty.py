@@ -10,7 +10,7 @@ from ..numerics import as_float, solve_upper, triangle
 from ..numerics.chain import Blocks, damped, marginal_rows, Point, solve_chain
 from ..numerics.least_squares import covariance
 from ..scene import angle_between
-from .components import Components, errors_of, estimate, joined, moved_by, share_of, whiten, Whitening, whitening
+from .components import Components, Errors, errors_of, estimate, joined, moved_by, share_of, whiten, whitening
 from .forward import Problem
 from .loss import robust, typical_size
 from .model_error import model_errors
@@ -138,14 +138,17 @@ def weighing_at(choices: Choices, numbers: Numbers, problem: Problem, priors: Pr
         columns = columns_of(choices, one, known, calibration, jnp.ones_like(priors.inverse_sigma))
         # the channels' scales come first, so that the last rows are of the parameters alone
         columns = jnp.concatenate([columns[:, count:], columns[:, :count]], axis=1)
-        _, rows, effects = _noise_of(choices, numbers.threshold, one, known, calibration, sizes, weighing, columns)
+        given = errors_of(one, known.radiance, known.turn), sizes, weighing, columns
+        _, rows, effects = _noise_of(choices, numbers.threshold, one, known, calibration, *given)
         moves = _sides(rows, effects)[-count:]
         return Weighing(scale, jnp.sqrt(jnp.maximum(jnp.mean(jnp.sum(moves**2, axis=1)), 1.0)))
 
     return jax.lax.stop_gradient(jax.lax.map(at, (problem, end.known, end.sizes)))
 
 
-def _noise_of(choices: Choices, threshold, one: Problem, known: Known, calibration, sizes, weighing: Weighing, columns):
+def _noise_of(
+    choices: Choices, threshold, one: Problem, known: Known, calibration, errors: Errors, sizes, weighing, columns
+):
     """Trust in each sample, weighted rows of `columns`, and their normal equations' right-hand sides by each error.
 
     Samples of a direction beyond the threshold of the loss count as one error, with the influence that they have.
@@ -157,9 +160,7 @@ def _noise_of(choices: Choices, threshold, one: Problem, known: Known, calibrati
     held = directions * channels
     sky, beam = (rows * root[:, None])[:held], rows[held:]
     own = sky * (sizes.sample / weighing.scale)
-    common = moved_by(
-        errors_of(one, known.radiance, known.turn), sizes, (sky * plain[:held, None]).reshape(directions, channels, -1)
-    )
+    common = moved_by(errors, sizes, (sky * plain[:held, None]).reshape(directions, channels, -1))
     effects = [own, beam * weighing.excess, common]
     if choices.loss != "squares":
         residual = (known.radiance * calibration[None] - one.measured).reshape(-1) * plain[:held]
@@ -182,16 +183,6 @@ def _sides(rows, effects):
     upper, sides = jax.lax.map(lambda part: triangle(part)[:count], both)
     # solve the transpose, a lower triangle, with rows and columns reversed
     return solve_upper(upper.T[::-1, ::-1], sides.T[::-1])[::-1]
-
-
-def whitening_at(problem: Problem, known: Known, found: Components) -> Whitening:
-    """The whitening of all times for errors of these sizes."""
-
-    def at(item):
-        one, known, found = item
-        return whitening(errors_of(one, known.radiance, known.turn), found)
-
-    return jax.lax.stop_gradient(jax.lax.map(at, (problem, known, found)))
 
 
 def _chi_square(choices: Choices, square, held):
@@ -244,34 +235,39 @@ def _moved(blocks: Blocks):
     return jnp.concatenate([mine, jnp.broadcast_to(shared[None], (mine.shape[0], *shared.shape))], axis=1)
 
 
-def _by_noise(blocks: Blocks, noise, priors: slice, excess, all_excess, prior_error):
-    """The covariance of each time's parameters and the shared unknowns by the noise and the priors of all times.
+def _by_errors(blocks: Blocks, noise, priors: slice, excess, all_excess, prior_error):
+    """The covariance of each time's parameters and the shared unknowns by noise and priors of all times, and by models.
 
-    **Arguments:** `blocks`, damped; `noise` `[time, row, effect]`, right-hand sides of each time's first rows;
-    `priors`, the rows of each time's priors; `excess`, errors of these rows; `all_excess`, that of links between times;
-    `prior_error`, errors of the shared unknowns' priors.
+    **Arguments:** `blocks`, damped, whose right-hand sides are the errors that the model makes at all times together;
+    `noise` `[time, row, effect]`, right-hand sides of each time's first rows; `priors`, the rows of each time's priors;
+    `excess`, errors of these rows; `all_excess`, that of links between times; `prior_error`, errors of the shared
+    unknowns' priors. **Returns:** both `[time, unknown, unknown]`.
     """
     times, effects, count = noise.shape[0], noise.shape[1], blocks.own.shape[2]
-    told = priors.stop - priors.start
-    sides, kind = effects + told + count, noise.dtype
+    told, model = priors.stop - priors.start, blocks.right.shape[2]
+    sides, kind = max(effects + told + count, model), noise.dtype
+    by_model = jnp.pad(blocks.right, ((0, 0), (0, 0), (0, sides - model)))
     # rows that only damp have no error
     error = jnp.pad(prior_error, (0, blocks.prior.shape[0] - prior_error.size))
 
-    def add(total, source):
-        """Add the shifts by the errors of one more time; the errors of the shared unknowns come last."""
+    def add(totals, source):
+        """Add the shifts by the errors of one more time, then by those of the shared unknowns, then by the model's."""
         here = (jnp.arange(times) == source)[:, None, None]
         told_by, ties = (jnp.where(here, jnp.eye(size, dtype=kind)[None], 0.0) for size in (told, count))
         right = jnp.zeros((times, blocks.own.shape[1], sides), kind)
         right = right.at[:, :effects, :effects].set(jnp.where(here, noise, 0.0))
         right = right.at[:, priors, effects : effects + told].set(told_by * excess[:, None, None])
+        right = jnp.where(source > times, by_model, right)
         steps = jnp.zeros((times - 1, count, sides), kind)
-        steps = steps.at[:, :, effects + told :].set(ties[: times - 1] * all_excess)
+        steps = steps.at[:, :, effects + told : effects + told + count].set(ties[: times - 1] * all_excess)
         last = jnp.where(source == times, jnp.eye(error.size, sides, dtype=kind) * error[:, None], 0.0)
         shift = _moved(blocks._replace(right=right, prior_right=last, step_right=steps))
-        return total + jnp.einsum("tpk,tqk->tpq", shift, shift), None
+        square = jnp.einsum("tpk,tqk->tpq", shift, shift)
+        shares = jnp.where(source > times, 0.0, square), jnp.where(source > times, square, 0.0)
+        return jax.tree.map(jnp.add, totals, shares), None
 
-    columns = count + blocks.common.shape[2]
-    return jax.lax.scan(add, jnp.zeros((times, columns, columns), kind), jnp.arange(times + 1))[0]
+    nothing = jnp.zeros((times, *(count + blocks.common.shape[2],) * 2), kind)
+    return jax.lax.scan(add, (nothing, nothing), jnp.arange(times + 2))[0]
 
 
 def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Priors, found: End) -> Estimate:
@@ -282,10 +278,6 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     values = values_at(choices, end)
     calibration = calibration_of(choices, end, channels)
     sizes = found.sizes
-    white = whitening_at(problem, known, sizes)
-    shares = jax.lax.map(
-        lambda item: share_of(errors_of(item[0], item[1].radiance, item[1].turn), item[2]), (problem, known, sizes)
-    )
     log = jnp.asarray([PARAMETERS[n].log for n in names])
     spread = jnp.where(log[None], values, as_float([PARAMETERS[n].spread(1.0) for n in names])[None])
     # a unit on the parameter's scale is one e-fold, or the range
@@ -301,7 +293,9 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     side = errors.shape[2]
 
     def at(item):
-        one, known, white, errors, sizes, weighing, tied = item
+        one, known, errors, sizes, weighing, tied = item
+        shared_errors = errors_of(one, known.radiance, known.turn)
+        white = whitening(shared_errors, sizes)
         samples = jnp.sum(one.weight > 0.0) + (0 if one.beside_weight is None else jnp.sum(one.beside_weight > 0.0))
         held = samples, times
         residual = known.radiance * calibration[None] - one.measured
@@ -312,18 +306,19 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
         if beam is not None and one.beside_weight is not None:
             stated += jnp.sum((beam * one.beside_weight) ** 2)
         columns = columns_of(choices, one, known, calibration, unit)
-        trust, rows, effects = _noise_of(choices, numbers.threshold, one, known, calibration, sizes, weighing, columns)
+        given = shared_errors, sizes, weighing, columns
+        trust, rows, effects = _noise_of(choices, numbers.threshold, one, known, calibration, *given)
         weight = weight_of(one, weighing) * jnp.sqrt(trust)
         right = errors * (instrument_gain(calibration, one) * weight)[:, None]
         parts = reduced_rows(choices, rows, right, tied, jnp.zeros((tied.shape[0], side), rows.dtype))
         noise = _sides(jnp.concatenate(parts[:2], axis=1)[: rows.shape[1]], wide * effects)
-        told = wide, _chi_square(choices, stated, held), _correlation(one, plain)
+        told = wide, _chi_square(choices, stated, held), _correlation(one, plain), share_of(shared_errors, sizes)
         trust = trust[: directions * channels].reshape(directions, channels)
         return parts, noise, told, rows * weight[:, None], trust
 
-    items = problem, known, white, errors, sizes, found.weighing, own_tight
+    items = problem, known, errors, sizes, found.weighing, own_tight
     (own, common, right), noise, told, columns, weight = jax.lax.map(at, items)
-    wide, chi_square, correlation = told
+    wide, chi_square, correlation, shares = told
     scales = common.shape[2] - len(choices.shared)
     exact = 0.0 if priors.calibration is None else priors.calibration
     prior = with_scales(shared_tight, exact, scales)
@@ -343,17 +338,14 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     )
     marginal = marginal_rows(blocks, size)
     every = jnp.ones(marginal.shape[2], own.dtype)
-    spreads = jax.vmap(lambda rows: covariance(rows, every)[0])(marginal)
-    # the channels' scales come first, so that the last rows are of the parameters alone
-    order = jnp.concatenate([marginal[..., count:], marginal[..., :count]], axis=2)
-    triangles = jax.vmap(triangle)(order)[:, scales:, scales:]
-    safe = damped(blocks, size)
+    # the channels' scales come first, so that the triangle's last rows are of the parameters alone
+    spreads, triangles = jax.vmap(lambda rows: covariance(rows, every))(jnp.roll(marginal, scales, axis=2))
+    spreads, triangles = jnp.roll(spreads, -scales, axis=(1, 2)), triangles[:, scales:, scales:]
     rows = slice(own.shape[1] - own_tight.shape[1], own.shape[1])
-    total = _by_noise(safe, noise, rows, excess, all_excess, prior_error)
+    total, by_model = _by_errors(damped(blocks, size), noise, rows, excess, all_excess, prior_error)
     # undetermined parameters have no finite sigma
     unknown = jnp.isinf(jnp.diagonal(spreads, axis1=1, axis2=2))
     total = jnp.where(unknown[:, :, None] | unknown[:, None], spreads, total)
-    shift = _moved(safe)[:, :count] * spread[..., None]
     both = spread[:, :, None] * spread[:, None, :]
 
     def gain_at(item):
@@ -372,7 +364,7 @@ def described(choices: Choices, numbers: Numbers, problem: Problem, priors: Prio
     return Estimate(
         values,
         jnp.where(jnp.isinf(total[:, :count, :count]), jnp.inf, total[:, :count, :count] * both),
-        jnp.einsum("tpk,tqk->tpq", shift, shift),
+        by_model[:, :count, :count] * both,
         triangles,
         freedom,
         known.radiance * calibration[None, None],
