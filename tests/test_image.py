@@ -14,6 +14,7 @@ from skyfit.draw import plot_contact_sheet
 from skyfit.image.disc import add_disc, RADIUS
 from skyfit.image.files import aces, read_picture
 from skyfit.image.render import SPECTRUM
+from skyfit.image.tone import agx
 from skyfit.light import extraterrestrial_irradiance, observer_weights
 
 
@@ -363,6 +364,26 @@ def test_files_hold_the_picture(image, tmp_path):
         image.save(tmp_path / "b.hdr", space="acescg")
     with pytest.raises(ValueError, match="existing folder"):
         image.save(tmp_path / "no" / "a.png")
+
+
+def agx_by_polynomial(colours):
+    """Matrices and the polynomial of Wrensch 2023, whose mean square from AgX's own table he states as 3.7e-6."""
+    into = [[0.842479, 0.0784336, 0.0792237], [0.0423282, 0.878469, 0.0791661], [0.0423757, 0.0784336, 0.879143]]
+    out = [[1.196879, -0.098021, -0.0990297], [-0.052897, 1.151903, -0.0989612], [-0.052972, -0.0980434, 1.151074]]
+    place = np.clip((np.log2(colours @ np.transpose(into)) + 12.47393) / 16.5, 0.0, 1.0)
+    return np.polyval([15.5, -40.14, 31.96, -6.868, 0.4298, 0.1191, -0.00232], place) @ np.transpose(out)
+
+
+def test_the_curve_of_agx(image):
+    ramp = np.repeat(0.18 * np.exp2(np.linspace(-10.0, 6.5, 400))[None, :, None], 3, axis=2)
+    off = agx(ramp) - np.clip(agx_by_polynomial(ramp), 0.0, 1.0)
+    assert np.abs(off).max() < 6e-3 and np.sqrt(np.mean(off**2)) < 3e-3
+    colours = np.random.default_rng(3).uniform(0.0, 2.0, (1, 50, 3))
+    np.testing.assert_allclose(agx(colours), np.clip(agx_by_polynomial(colours), 0.0, 1.0), atol=0.012)
+    ends = agx(np.array([[[0.18, 0.18, 0.18], [-1.0, 0.0, 0.0], [1e9, 0.0, 0.0]]]))
+    np.testing.assert_allclose(ends, np.repeat([[[0.5], [0.0], [1.0]]], 3, axis=2), atol=1e-12)
+    picture = image.developed(tone="agx")
+    assert picture.shape == image.xyz.shape and np.isfinite(picture).all() and 0.2 < picture.mean() < 0.8
 
 
 def test_the_curve_of_aces(image):

@@ -45,6 +45,7 @@ class ToneName(StrEnum):
 
     filmic = "filmic"
     aces = "aces"
+    agx = "agx"
     clip = "clip"
 
 
@@ -119,7 +120,7 @@ def render(
         float | None, typer.Option(help="K of the daylight that is white  [default: D65]", show_default=False)
     ] = None,
     tone: Annotated[
-        ToneName, typer.Option(help="of a .png: a shoulder, that of ACES 2.0, or cut off at white")
+        ToneName, typer.Option(help="of a .png: a shoulder, that of ACES 2.0 or of AgX, or cut off at white")
     ] = ToneName.filmic,
     space: Annotated[SpaceName, typer.Option(help="of an .exr")] = SpaceName.srgb,
     half: Annotated[bool, typer.Option("--half", help=".exr in half precision, scaled by its whiteLuminance")] = False,

@@ -17,10 +17,11 @@ from ..numerics import check_range
 from ..scene import unit_vectors
 from .camera import Camera
 from .files import aces, write_picture
+from .tone import agx
 
 
 Space = Literal["srgb", "rec2020", "acescg", "xyz"]
-Tone = Literal["filmic", "aces", "clip"]
+Tone = Literal["filmic", "aces", "agx", "clip"]
 _NAMES = {"srgb": "sRGB", "rec2020": "ITU-R BT.2020", "acescg": "ACEScg"}
 # White is _WHITE times the mean luminance (cd m^-2) to the power _POWER: dark scenes stay a little darker
 _WHITE, _POWER = 8.0, 0.93
@@ -106,14 +107,16 @@ class Image:
 
         **Arguments:** `exposure` as for `white`; `white_balance` as for `rgb`; `tone`: "filmic" applies the same
         shoulder to the three channels, which keeps colours, and turns light far brighter than white into white; "aces"
-        is the output transform of ACES 2.0; or "clip".
-        **Source:** IEC 61966-2-1:1999.
+        is the output transform of ACES 2.0; "agx" that of AgX, which is flat and turns bright colours pale; or "clip".
+        **Source:** IEC 61966-2-1:1999; `agx`.
         """
-        if tone not in ("filmic", "aces", "clip"):
-            raise ValueError(f'`tone` must be "filmic", "aces" or "clip", got {tone!r}')
+        if tone not in ("filmic", "aces", "agx", "clip"):
+            raise ValueError(f'`tone` must be "filmic", "aces", "agx" or "clip", got {tone!r}')
         linear = self.rgb("srgb", white_balance) / self.white(exposure)
         if tone == "aces":
             return aces(linear)
+        if tone == "agx":
+            return agx(linear)
         linear = np.maximum(linear, 0.0)
         if tone == "filmic":
             peak = np.maximum(linear.max(axis=2, keepdims=True), 1e-12)
