@@ -44,11 +44,16 @@ def record_of(choice: Choice) -> dict:
     }  # fmt: skip
 
 
+def expected_of(choice: Choice) -> str:
+    """The expected error in words."""
+    return f"error to expect: {100.0 * choice.expected_error:.2g} % at most"
+
+
 def print_choice(choice: Choice) -> None:
     """Print the reasons for the choice of solver, and its expected error."""
     for reason in choice.reasons:
         say(f"  {reason}")
-    expected = f"error to expect: {100.0 * choice.expected_error:.2g} % at most"
+    expected = expected_of(choice)
     if choice.met:
         say(expected)
     else:

@@ -146,7 +146,7 @@ def render(
     from ..scene import hemisphere, Scene
     from ..transport import SOLVERS, Spherical
     from ..transport.choose import choose_for_all
-    from .chosen import allowed_of, print_choice, record_of
+    from .chosen import allowed_of, expected_of, print_choice, record_of
     from .models import analytic_of, atmosphere_of, make_solver
     from .printing import give, progress, say
     from .sequence import begin, Frame, frames_of
@@ -220,6 +220,8 @@ def render(
                 sky, camera, sun_zenith=float(np.radians(frame.zenith)), sun_azimuth=float(np.radians(frame.azimuth)),
                 sun_seen_zenith=float(np.radians(frame.seen)), sun=sun.value, spectral=spectral, **asked,
             )  # fmt: skip
+            if choice is not None:
+                picture = replace(picture, made_by=f"{picture.made_by}, {expected_of(choice)}")
             if sun is SunName.lamp:
                 picture.save_lamp(frame.path.with_suffix(".lamp.json"))
             picture.save(
