@@ -278,8 +278,7 @@ def boxed(blocks: Blocks, limit, max_steps=100):
         return jax.tree.map(lambda v: 1e3 * v, Rows(data, shared, step)), None
 
     limits = jax.tree.map(lambda v: jnp.full_like(v, limit), origin(blocks))
-    begin = Begin(None, NO, NO)
-    point, _, cost, steps, result = minimise(rows, origin(blocks), blocks, begin, limits, 0, max_steps)
+    point, _, cost, steps, result = minimise(rows, origin(blocks), blocks, None, NO, limits, 0, max_steps)
     return point, 1e-6 * cost, steps, result == optx.RESULTS.successful
 
 
@@ -326,7 +325,7 @@ def test_a_nonlinear_joint_problem_has_the_minimum_that_scipy_finds(x64, times):
 
     expected = scipy.optimize.least_squares(residual, flat(start), xtol=1e-12, ftol=1e-12, gtol=1e-12)
     free = jax.tree.map(lambda v: jnp.full_like(v, jnp.inf), start)
-    found, known, _, steps, result = eqx.filter_jit(minimise)(decays, start, arguments, begin, free, 0, 50)
+    found, known, _, steps, result = eqx.filter_jit(minimise)(decays, start, arguments, *begin[:2], free, 0, 50)
     assert result_name(result) == "successful" and steps < 20
     # within the tolerance of the search, a fiftieth of a standard deviation
     sigma = np.sqrt(np.diag(np.linalg.inv(expected.jac.T @ expected.jac)))
@@ -335,13 +334,13 @@ def test_a_nonlinear_joint_problem_has_the_minimum_that_scipy_finds(x64, times):
     np.testing.assert_array_equal(known["curve"], decays(found, (arguments, begin))[1]["curve"])
     # a search that begins with what is known there ends at once; with a wrong curve it does so elsewhere
     for curve, same in ((known["curve"], True), (known["curve"] + 0.1, False)):
-        taken = Begin({"curve": curve}, ~NO, NO)
-        again, _, _, steps, _ = eqx.filter_jit(minimise)(decays, found, arguments, taken, free, 0, 1)
+        taken = {"curve": curve}, ~NO
+        again, _, _, steps, _ = eqx.filter_jit(minimise)(decays, found, arguments, *taken, free, 0, 1)
         assert steps == 1 and np.all(flat(again) == flat(found))
-        moved, *_ = eqx.filter_jit(minimise)(decays, found, arguments, taken, free, 0, 2)
+        moved, *_ = eqx.filter_jit(minimise)(decays, found, arguments, *taken, free, 0, 2)
         assert np.allclose(flat(moved), flat(found), atol=0.1 * sigma.min()) == same
         # what is taken over counts for the first step alone
-        end, *_ = eqx.filter_jit(minimise)(decays, found, arguments, taken, free, 0, 50)
+        end, *_ = eqx.filter_jit(minimise)(decays, found, arguments, *taken, free, 0, 50)
         assert np.all(np.abs(flat(end) - expected.x) < 0.02 * sigma)
 
 
@@ -361,11 +360,11 @@ def test_near_the_end_slopes_are_not_renewed(x64):
     place = np.linspace(0.0, 2.0, 12)
     measured = 1.3 * np.exp(-1.7 * place) + 0.6 + 0.05 * random.normal(size=(1, 12))
     arguments, start = (jnp.asarray(place), jnp.asarray(measured)), Point(jnp.ones((1, 2)), jnp.zeros(1))
-    begin = Begin({"slope": jnp.zeros((1, 12)), "renewed": jnp.asarray(0)}, NO, NO)
+    nothing = {"slope": jnp.zeros((1, 12)), "renewed": jnp.asarray(0)}
     free = jax.tree.map(lambda v: jnp.full_like(v, jnp.inf), start)
 
     def found(close):
-        return eqx.filter_jit(minimise)(decays_by_slopes, start, arguments, begin, free, 0, 50, 1e-3, 0.1, close)
+        return eqx.filter_jit(minimise)(decays_by_slopes, start, arguments, nothing, NO, free, 0, 50, 1e-3, 0.1, close)
 
     each, known, _, steps, _ = found(0.0)
     # those of a step that is refused are not counted

@@ -375,21 +375,13 @@ class ChainMarquardt(optx.AbstractGaussNewton):
 
 
 def minimise(
-    rows,
-    point: Point,
-    arguments,
-    begin: Begin,
-    limit: Point,
-    linear: int,
-    max_steps: ArrayLike,
-    tolerance: ArrayLike = 0.05,
-    first_damping: ArrayLike = 0.1,
-    close: ArrayLike = 0.0,
-):
+    rows, point: Point, arguments, known, holds: Bool[ArrayLike, ""], limit: Point, linear: int, max_steps: ArrayLike,
+    tolerance: ArrayLike = 0.05, first_damping: ArrayLike = 0.1, close: ArrayLike = 0.0,
+):  # fmt: skip
     """Minimise the sum of squares within |unknown| <= `limit` by Levenberg-Marquardt on optimistix' loop.
 
     **Arguments:** `rows(point, (arguments, begin))` gives `Rows`, linear about the point, and auxiliary results;
-    `begin`, such results, and whether they hold at the first point; `linear` and `first_damping` as in `ChainDescent`;
+    `known`, such results, and whether they hold at the first point; `linear` and `first_damping` as in `ChainDescent`;
     `max_steps` and `tolerance` (`ChainMarquardt`). Where the whole step changes the residuals by less than `close`, the
     slopes need not be renewed (`Begin.close`), unless the step before was refused. Numbers may be traced.
     **Returns:** the point, the auxiliary results of `rows`, half the sum of squares, the number of steps and
@@ -397,12 +389,10 @@ def minimise(
     """
     descent = ChainDescent(limit, linear, jnp.asarray(first_damping))
     solver = ChainMarquardt(
-        descent=descent,
-        max_steps=jnp.asarray(max_steps),
-        tolerance=jnp.asarray(tolerance),
-        close=jnp.asarray(close),
+        descent=descent, max_steps=jnp.asarray(max_steps), tolerance=jnp.asarray(tolerance), close=jnp.asarray(close)
     )
-    solution = optx.least_squares(rows, solver, point, (arguments, begin), has_aux=True, max_steps=None, throw=False)
+    given = arguments, Begin(known, jnp.asarray(holds), jnp.zeros((), bool))
+    solution = optx.least_squares(rows, solver, point, given, has_aux=True, max_steps=None, throw=False)
     # The sum of a point and a step to the edge may be beyond the edge by rounding.
     end = jax.tree.map(lambda p, edge: jnp.clip(p, -edge, edge), solution.value, limit)
     cost = 0.5 * sum(jnp.sum(part**2) for part in solution.state.f_info.residual)

@@ -8,7 +8,7 @@ import numpy as np
 import optimistix as optx
 
 from ..measured.noise import Loss
-from ..numerics.chain import Begin, minimise, Point
+from ..numerics.chain import minimise, Point
 from ..transport import AbstractSolver
 from .components import Components, Expected, KINDS
 from .forward import Problem
@@ -158,10 +158,10 @@ def search(
         near = jnp.where(last, jnp.minimum(_NEAR * weighing.of_all(), _MOST_NEAR), first_near)
         damping = jnp.where(last, _DAMPED, _FIRST_DAMPED)
         # where all searches failed, nothing is known
-        taken = Begin(best.known, last & jnp.isfinite(best.cost), jnp.zeros((), bool))
+        holds = last & jnp.isfinite(best.cost)
         close = _CLOSE * weighing.of_all()
         point, known, total, steps, result = minimise(
-            rows, begin, arguments, taken, limit, none, numbers.max_steps, near, damping, close
+            rows, begin, arguments, best.known, holds, limit, none, numbers.max_steps, near, damping, close
         )
         total = jnp.where(jnp.isfinite(total), total, jnp.inf)
         better = last | (total < best.cost)
