@@ -33,7 +33,7 @@ CHECKED: set[tuple[Path, str]] = set()
 
 
 # programs run a few times, so that compilation is most of the time of a test; these run for longer
-LONG_RUNS = ("test_recovery", "test_error_bars", "test_image", "test_readme")
+LONG_RUNS = ("test_recovery", "test_error_bars", "test_image")
 FLAGS = ["--xla_backend_optimization_level=1"]
 if version("jaxlib") == "0.10.2":
     # as the command line does
