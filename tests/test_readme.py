@@ -91,10 +91,13 @@ def test_the_examples_of_public_names(monkeypatch: pytest.MonkeyPatch, tmp_path:
     (tmp_path / "data").symlink_to(ROOT / "data")
     monkeypatch.chdir(tmp_path)
     runner = doctest.DocTestRunner()
-    for name, tests in examples().items():
-        jax.config.update("jax_disable_most_optimizations", name not in LONG_EXAMPLES)
-        for test in tests if (name in DEAR) == dear else ():
-            runner.run(test)
+    try:
+        for name, tests in examples().items():
+            jax.config.update("jax_disable_most_optimizations", name not in LONG_EXAMPLES)
+            for test in tests if (name in DEAR) == dear else ():
+                runner.run(test)
+    finally:
+        jax.config.update("jax_disable_most_optimizations", False)
     assert runner.summarize().failed == 0
 
 
