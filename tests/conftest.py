@@ -1,11 +1,13 @@
 """Settings and fixtures of all tests; skyfit itself is imported only after pytest has hooked jaxtyping in."""
 
 import gc
+import json
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
@@ -82,15 +84,20 @@ def shared(checkout: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def python(checkout: Path) -> Callable:
-    """A program in a process of its own, in a narrow window; all of a run share what one has compiled."""
+def environment(checkout: Path) -> dict[str, str]:
+    """Of the programs that tests start: a narrow window; all of a run share what one has compiled."""
     place = {
         "COLUMNS": "80",
         "XDG_CACHE_HOME": os.path.join(os.environ[CACHE], "commands"),
         "PYTHONPATH": str(checkout),
     }
     place["XLA_FLAGS"] = "--xla_backend_optimization_level=0"
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")} | place
+    return {k: v for k, v in os.environ.items() if not k.startswith("JAX_")} | place
+
+
+@pytest.fixture(scope="session")
+def python(environment: dict[str, str]) -> Callable:
+    """A program in a process of its own."""
 
     def call(program, *arguments, cwd):
         command = [sys.executable, "-W", "error", "-c", program, *map(str, arguments)]
@@ -99,12 +106,60 @@ def python(checkout: Path) -> Callable:
     return call
 
 
-@pytest.fixture(scope="session")
-def skyfit_command(python: Callable) -> Callable:
-    """The program `skyfit` in a process of its own."""
+# calls of the program `skyfit`, one a line, each answered by a line; what a call prints is caught as of a process
+CALLS = """
+import json, os, sys, tempfile, traceback
+from skyfit.cli import main
+answers = os.fdopen(os.dup(1), "w")
+for line in sys.stdin:
+    folder, *sys.argv[1:] = json.loads(line)
+    os.chdir(folder)
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as error:
+        os.dup2(out.fileno(), 1), os.dup2(error.fileno(), 2)
+        code = 0
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code
+        except BaseException:
+            traceback.print_exc()
+            code = 1
+        sys.stdout.flush(), sys.stderr.flush()
+        out.seek(0), error.seek(0)
+        print(json.dumps([code, out.read(), error.read()]), file=answers, flush=True)
+"""
 
-    def call(*arguments, cwd, check=True):
-        done = python("from skyfit.cli import main; main()", *arguments, cwd=cwd)
+
+@pytest.fixture(scope="session")
+def command_line(environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable]:
+    """The program `skyfit`, all calls in one process, which saves the imports and keeps what it has compiled."""
+    command, folder = [sys.executable, "-W", "error", "-c", CALLS], tmp_path_factory.mktemp("calls")
+    with subprocess.Popen(
+        command, cwd=folder, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+
+        def call(*arguments, cwd):
+            print(json.dumps([str(cwd), *map(str, arguments)]), file=process.stdin, flush=True)
+            late = threading.Timer(500.0, process.kill)
+            late.start()
+            answer = process.stdout.readline()
+            late.cancel()
+            assert answer, f"`skyfit` ended by itself or took longer than 500 s: {arguments}"
+            return subprocess.CompletedProcess(arguments, *json.loads(answer))
+
+        yield call
+        process.stdin.close()
+
+
+@pytest.fixture(scope="session")
+def skyfit_command(python: Callable, command_line: Callable) -> Callable:
+    """The program `skyfit`, in a process of its own where it runs `alone`."""
+
+    def call(*arguments, cwd, check=True, alone=False):
+        if alone:
+            done = python("from skyfit.cli import main; main()", *arguments, cwd=cwd)
+        else:
+            done = command_line(*arguments, cwd=cwd)
         assert "Traceback" not in done.stderr, done.stderr
         if check:
             assert done.returncode == 0, done.stderr

@@ -418,7 +418,7 @@ def test_lobes_that_are_known_together_alone_are_shown_by_their_mean(capsys):
 
 
 def test_help_fits_a_narrow_window(skyfit_command, tmp_path):
-    done = skyfit_command("--help", cwd=tmp_path)
+    done = skyfit_command("--help", cwd=tmp_path, alone=True)
     assert all(
         command in done.stdout
         for command in ("simulate", "refit", "convert", "invert", "perez", "sensitivity", "predict")
@@ -455,7 +455,7 @@ def test_help_loads_no_more_than_it_says(python, tmp_path):
 
 
 def test_the_version_is_that_of_the_package(skyfit_command, tmp_path):
-    assert skyfit_command("--version", cwd=tmp_path).stdout.strip() == version("skyfit")
+    assert skyfit_command("--version", cwd=tmp_path, alone=True).stdout.strip() == version("skyfit")
 
 
 def test_a_kept_program_gives_the_same_sky(tmp_path, monkeypatch):
@@ -711,32 +711,8 @@ BROKEN = {
 }
 
 
-# many calls in one process, which saves the imports; each in a folder of its own
-MANY = """
-import contextlib, io, json, os, pathlib, sys, traceback
-from skyfit.cli import main
-report = {}
-for case, arguments in json.load(open("cases.json")).items():
-    os.chdir(pathlib.Path(sys.argv[1]) / case)
-    sys.argv[1:], place = arguments, sys.argv[1]
-    out, error = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
-        try:
-            main()
-            code = 0
-        except SystemExit as end:
-            code = end.code
-        except BaseException:
-            traceback.print_exc()
-            code = 1
-    sys.argv[1:] = [place]
-    report[case] = [code, out.getvalue(), error.getvalue()]
-print(json.dumps(report))
-"""
-
-
 @pytest.fixture(scope="session")
-def failures(chain, python, tmp_path_factory):
+def failures(chain, skyfit_command, tmp_path_factory):
     """What each broken call ended with, and what its folder held before and after."""
     place = tmp_path_factory.mktemp("broken")
 
@@ -744,10 +720,11 @@ def failures(chain, python, tmp_path_factory):
         return sorted(str(path.relative_to(place / case)) for path in (place / case).rglob("*"))
 
     before = {case: files_to_fail_on(chain[0], place / case) and files(case) for case in BROKEN}
-    (place / "cases.json").write_text(json.dumps({case: call for case, (call, _) in BROKEN.items()}))
-    done = python(MANY, place, cwd=place)
-    assert done.returncode == 0, done.stderr
-    return {case: (*end, before[case], files(case)) for case, end in json.loads(done.stdout).items()}
+    found = {}
+    for case, (call, _) in BROKEN.items():
+        done = skyfit_command(*call, cwd=place / case, check=False)
+        found[case] = (done.returncode, done.stdout, done.stderr, before[case], files(case))
+    return found
 
 
 @pytest.mark.parametrize("case", BROKEN)
@@ -764,7 +741,7 @@ def test_a_broken_call_is_one_line_and_exit_code_2(failures, case):
 
 
 def test_a_broken_call_in_a_process_of_its_own(folder, skyfit_command):
-    done = skyfit_command("invert", "broken.nc", "--out", "new", cwd=folder, check=False)
+    done = skyfit_command("invert", "broken.nc", "--out", "new", cwd=folder, check=False, alone=True)
     assert done.returncode == 2 and done.stdout == "" and not (folder / "new").exists()
     (line,) = done.stderr.strip().splitlines()
     assert line.startswith("skyfit: broken.nc")
