@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.optimize
+import scipy.stats
 
 import skyfit
 from skyfit.retrieve import components
 from skyfit.retrieve.components import Components, Expected
 from skyfit.retrieve.forward import Problem
+from skyfit.retrieve.loss import typical_size
 
 
 DIRECTIONS, CHANNELS = 60, 12
@@ -211,3 +213,13 @@ def test_what_is_given_stays(x64):
     found = estimate(wrong, residual, jnp.asarray(some_columns(9, 1)), given, "huber")
     np.testing.assert_array_equal(found.common, given.common)
     assert found.sample == pytest.approx(1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 8])
+def test_a_typical_size_is_that_of_the_median(count):
+    size = np.random.default_rng(count).normal(size=8)
+    held = np.arange(8) < count
+    expected = np.median(np.abs(size[:count])) / scipy.stats.norm.ppf(0.75)
+    found = [typical_size(jnp.asarray(v), jnp.asarray(held)) for v in (size, np.where(held, size, np.nan))]
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+    assert np.isnan(typical_size(jnp.asarray(size), jnp.zeros(8, bool)))

@@ -75,6 +75,13 @@ def test_factors_have_derivatives(x64):
     np.testing.assert_allclose(jax.grad(size)(rows), 2.0 * rows, atol=1e-12)
 
 
+@pytest.mark.parametrize("rest", [1e-6, 1e-10, 1e-12, 0.0])
+def test_derivatives_of_nearly_dependent_columns_are_finite(rest):
+    rows = jnp.asarray([[1.0, 1.0], [0.0, rest], [0.0, 0.1 * rest]], jnp.float32)
+    for slope in (jax.grad, jax.jacfwd, lambda f: lambda rows: jax.vmap(jax.grad(f))(rows[None])):
+        assert np.all(np.isfinite(slope(lambda rows: jnp.sum(triangle(rows)))(rows)))
+
+
 def test_two_programs_end():
     threads = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
     subprocess.run([sys.executable, "-c", TWO_PROGRAMS], env=threads, check=True, timeout=120)

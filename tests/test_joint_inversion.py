@@ -160,12 +160,13 @@ def test_gain_is_what_a_sample_moves(x64, sky, plain):
         assert np.all(off < 0.02), (off, plain.gain[t, :, d, w] / expected)
 
 
-def test_names_that_cannot_be_shared_smooth_or_known_before(sky):
+def test_names_that_cannot_be_shared_smooth_or_known_before_and_no_steps(sky):
     for changes, said in (
         ({"shared": ("ozone",)}, "`shared` must name free parameters.*'ozone'"),
         ({"shared": SHARED, "smooth": {"asymmetry": 0.1}}, "`smooth` must name free .* not shared, got 'asymmetry'"),
         ({"smooth": {"aerosol_optical_depth": 0.0}}, "`smooth` of aerosol_optical_depth must be a positive"),
         ({"priors": {"ozone": (300.0, 10.0)}}, "`priors` must name free parameters.*'ozone'"),
+        ({"max_steps": 0}, "`max_steps` must be 1 or more, got 0"),
         ({"priors": {"asymmetry": (2.0, 0.1)}}, r"`priors` of asymmetry must be a value in \[0, 0.95\]"),
         ({"priors": {"asymmetry": (0.6, -0.1)}}, "`priors` of asymmetry.*positive sigma"),
     ):

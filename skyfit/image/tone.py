@@ -18,7 +18,7 @@ def agx(linear: Float[np.ndarray, "row column 3"]) -> Float[np.ndarray, "row col
     The curve is $\frac12 + s\, d\, (1 + a |d|^p)^{-1/p}$ in the distance d from middle grey, as a share of 16.5 stops;
     a is such that the ends are 0 and 1. As the channels are mixed, light far brighter than white turns white.
 
-    **Arguments:** `linear` sRGB, 0.18 is middle grey; negative values count as 0.
+    **Arguments:** `linear` sRGB, 0.18 is middle grey; what is negative even in the mixture counts as 0.
     **Source:** Sobotka 2022, AgX (github.com/sobotka/AgX); its closed form: github.com/bWFuanVzYWth/AgX.
     """
     mixed = (1.0 - _MIXED) * linear + _MIXED * (linear @ _MEAN)[..., None]

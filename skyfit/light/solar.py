@@ -106,6 +106,7 @@ def earth_sun_factor(day_of_year: Real[ArrayLike, "*time"]) -> Float[Array, "*ti
 
 @jax.jit
 def _spencer(day_of_year):
+    """The factor, as one program in place of one for each operation."""
     day = 2.0 * jnp.pi * (jnp.asarray(day_of_year) - 1) / 365.0
     return (
         1.000110

@@ -7,8 +7,8 @@ import numpy as np
 def as_float(value):
     """An array of the process's default float type."""
     dtype = jnp.result_type(float)
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
         # converted here, where JAX would compile a program for each shape
-        with np.errstate(over="ignore"):
+        with np.errstate(all="ignore"):
             value = value.astype(dtype, copy=False)
     return jnp.asarray(value, dtype)

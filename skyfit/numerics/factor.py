@@ -28,7 +28,8 @@ def triangle(rows: Float[Array, "row column"]) -> Float[Array, "rank column"]:
         some, head = product[k] > least, columns[k, k]
         length = jnp.sqrt(jnp.where(some, product[k], 1.0))
         end = jnp.where(head < 0.0, length, -length)
-        share = jnp.where(some, (product - end * columns[:, k]) / (end * (end - head)), 0.0)
+        # divided in two steps: in the derivative of a quotient the square of a small product would vanish
+        share = jnp.where(some, (product / end - columns[:, k]) / (end - head), 0.0)
         return columns - share[:, None] * jnp.where(place == k, head - end, column)[None]
 
     # The last row has nothing below it. With columns as rows, memory is read in its order.
@@ -59,7 +60,7 @@ def _singular_tangent(primals, tangents):
 def solve_upper(
     matrix: Float[Array, "parameter parameter"], right: Float[Array, "parameter ..."]
 ) -> Float[Array, "parameter ..."]:
-    """The solution of an upper triangular system, from its last row up."""
+    """The solution of an upper triangular system without a zero on its diagonal, from its last row up."""
     count = matrix.shape[0]
     # One axis for the unknowns, then those of `right`
     place = jnp.arange(count).reshape(-1, *(1,) * (right.ndim - 1))

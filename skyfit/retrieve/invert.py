@@ -1,7 +1,8 @@
 """Fit the parameters of the atmosphere to a measured sky."""
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from threading import Thread
 
 import equinox as eqx
 import jax
@@ -23,6 +24,8 @@ from .uncertainty import Estimate
 
 # largest number of groups of directions that a jackknife leaves out in turn
 _MOST_GROUPS = 100
+# kinds of sky and solver that this process has read
+_READ: set[str] = set()
 
 
 def invert(
@@ -87,22 +90,40 @@ def invert(
     times = len(asked.sky.time)
     groups = [np.arange(times)] if asked.shared or asked.linked else [np.array([t]) for t in range(times)]
     parts, spreads = [], []
-    with ThreadPoolExecutor(1) as beside:
-        read = beside.submit(_read_ahead, asked, jax.config.jax_enable_x64)  # pyright: ignore
+    with _reading_ahead(asked):
         for number, group in enumerate(groups):
             parts.append(solve(asked, group, first_points(asked, group, guess, starts)))
             if jackknife:
                 spreads.append(_jackknifed(asked, group, parts[-1], jackknife))
             if progress is not None:
                 progress(number + 1, len(groups))
-        wait([read])
     return fit_of(asked, groups, parts, spreads)
 
 
-def _read_ahead(asked: Prepared, double: bool) -> None:
-    """Read the start model once, so that the program of the fitted sky's reading compiles while the search does."""
-    with jax.enable_x64(double):
-        asked.sampling.readings(asked.solver, asked.start, 0)
+@contextmanager
+def _reading_ahead(asked: Prepared) -> Iterator[None]:
+    """Compile the program of the fitted sky's reading while the search does, by a reading of the start model.
+
+    A sky of a kind that this process has read before needs none. An error of this reading is that of the fitted one.
+    """
+    settings = jax.config.jax_enable_x64, jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+    kind = repr((asked.solver, asked.sky.radiance.shape, asked.sampling.field_of_view, *settings))
+    if kind in _READ:
+        yield
+        return
+
+    def read():
+        with suppress(Exception), jax.enable_x64(settings[0]), jax.default_device(settings[1]):
+            asked.sampling.readings(asked.solver, asked.start, 0)
+
+    ahead = Thread(target=read)
+    # a process that is ending starts no thread
+    with suppress(RuntimeError):
+        ahead.start()
+    yield
+    if ahead.ident is not None:
+        ahead.join()
+    _READ.add(kind)
 
 
 def solve(asked: Prepared, times: np.ndarray, starts: Point, kept: np.ndarray | None = None) -> Estimate:

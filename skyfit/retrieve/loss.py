@@ -49,8 +49,9 @@ def robust(residual: Array, loss: Loss, threshold: Float[ArrayLike, ""]) -> Robu
 
 def typical_size(residual: Float[Array, "*time sample"], held: Bool[Array, "*time sample"]) -> Float[Array, "*time"]:
     """The standard deviation of normal residuals with a few outliers, from their median size; NaN if none is held."""
+    held = held & ~jnp.isnan(residual)
     ordered = jnp.sort(jnp.where(held, jnp.abs(residual), jnp.inf), axis=-1)
     count = jnp.sum(held, axis=-1, keepdims=True)
     middle = jnp.concatenate([jnp.maximum(count - 1, 0) // 2, count // 2], axis=-1)
-    median = jnp.mean(jnp.take_along_axis(ordered, jnp.minimum(middle, ordered.shape[-1] - 1), axis=-1), axis=-1)
+    median = jnp.mean(jnp.take_along_axis(ordered, middle, axis=-1), axis=-1)
     return jnp.where(count[..., 0] > 0, _MEDIAN_SIZE * median, jnp.nan)

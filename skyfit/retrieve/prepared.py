@@ -146,6 +146,8 @@ def prepared(
     solver = OrdersOfScattering.normal(polarised=polarised) if solver is None else solver
     start = start_at(sky, free) if start is None else start
     check_free(free, start)
+    if max_steps < 1:
+        raise ValueError(f"`max_steps` must be 1 or more, got {max_steps}")
     known, ties = _checked_priors(priors or {}, free), dict(smooth or {})
     _check_shared(shared, ties, free)
     low, high, unit = STATION_RANGES["fwhm_nm"]

@@ -172,7 +172,8 @@ def _noise_of(
 def _sides(rows, effects):
     r"""Right-hand sides $y$ of the triangle $T$ of some rows: $T^T y$ has the covariance of all effects together.
 
-    **Arguments:** `rows` `[row, column]`; `effects` `[effect, column]`. **Returns:** `[column, side]`, as many sides.
+    **Arguments:** `rows` `[row, column]`; `effects` `[effect, column]`. **Returns:** `[column, side]`, as many sides,
+    whose sign is free: it also suits the triangle with a positive diagonal.
     """
     count = rows.shape[1]
     guard = jnp.sqrt(jnp.sum(rows**2, axis=0))
