@@ -4,15 +4,6 @@ A flag is what a user sees of a fit: a result other than "successful", a paramet
 note, samples masked. Damage that only a reader meets is in test_broken_files.py, options of the program in test_cli.py.
 """
 
-import contextlib
-import io
-import json
-import os
-import subprocess
-import sys
-import traceback
-from pathlib import Path
-
 import numpy as np
 import pytest
 from broken_skies import FILES, FREE, SKIES, SOLVER, TRUTH
@@ -77,48 +68,20 @@ DRAWN = (
 CALLED = {name: case for name, case in FILES.items() if case.ends == "error" or name in DRAWN}
 
 
-def run_commands(place: Path) -> None:
-    """`skyfit invert` on every file, one process for all, each in a folder of its own; prints a report."""
-    from skyfit.cli import main
-
+@pytest.fixture(scope="module")
+def commands(skyfit_command, tmp_path_factory):
+    """`skyfit invert` on every file, each in a folder of its own: its code, what it printed, and what it wrote."""
     report = {}
-    for number, (name, case) in enumerate(CALLED.items()):
-        folder = place / str(number)
-        folder.mkdir()
+    for name, case in CALLED.items():
+        folder = tmp_path_factory.mktemp("command")
         path, options = case.make(folder)
         before = sorted(folder.rglob("*"))
         words = [word for key, value in options.items() for word in (OPTIONS[key], str(value))]
         settings = ["--free", ",".join(FREE), "--solver", "single", "--preset", "draft", "--geometry", "flat"]
-        sys.argv = ["skyfit", "invert", str(path), "--out", str(folder / "out"), *settings, *words]
-        out, err, code = io.StringIO(), io.StringIO(), 0
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            try:
-                main()
-            except SystemExit as end:
-                code = end.code
-            except BaseException:
-                traceback.print_exc()
-                code = 1
+        done = skyfit_command("invert", path, "--out", folder / "out", *settings, *words, cwd=folder, check=False)
         written = [str(one.relative_to(folder)) for one in sorted(folder.rglob("*")) if one not in before]
-        report[name] = [code, out.getvalue(), err.getvalue(), written]
-    print(json.dumps(report))
-
-
-@pytest.fixture(scope="module")
-def commands(checkout, tmp_path_factory):
-    place = tmp_path_factory.mktemp("commands")
-    program = "import sys, pathlib, test_broken_inputs as t; t.run_commands(pathlib.Path(sys.argv[1]))"
-    paths = os.pathsep.join(map(str, (checkout, checkout / "tests")))
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("JAX_")}
-    environment |= {"PYTHONPATH": paths, "COLUMNS": "120", "XDG_CACHE_HOME": str(place)}
-    # programs that run once are not worth optimising
-    environment["XLA_FLAGS"] = "--xla_backend_optimization_level=0"
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", program, str(place)],
-        env=environment, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+        report[name] = [done.returncode, done.stdout, done.stderr, written]
+    return report
 
 
 @pytest.mark.parametrize("name", CALLED)
